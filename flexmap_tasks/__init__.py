@@ -1,0 +1,1 @@
+"""FlexMap: georeference HD maps and carry OpenStreetMap knowledge into them."""

@@ -1,0 +1,1 @@
+"""Track, map and cloud come into the map frame."""

@@ -1,0 +1,275 @@
+"""What a user may set: one frozen pydantic model per stage, units in every name.
+
+A stage gets only its own model. Paths are relative to the file they stand in. Unknown keys are
+errors. `configs/defaults.yaml` is written from these models and checked against them.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, StringConstraints, model_validator
+
+Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+NonNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
+Share = Annotated[float, Field(ge=0, le=1)]
+Name = Annotated[str, StringConstraints(pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]{0,99}$")]
+
+
+class Params(BaseModel):
+    """Base of all settings: frozen, no unknown keys."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", str_strip_whitespace=True)
+
+
+# --- inputs -------------------------------------------------------------------------------------
+
+
+class GnssParams(Params):
+    """Which GNSS fixes to read from a recording."""
+
+    format: Literal["auto", "mcap", "text"] = Field("auto", description="by content when auto")
+    topic: str | None = Field(None, description="MCAP topic; may stay empty when only one fits")
+
+
+class SlamParams(Params):
+    """Which SLAM trajectory to read from a recording."""
+
+    format: Literal["auto", "mcap", "kitti", "tum"] = Field("auto", description="by content when auto")
+    topic: str | None = Field(None, description="MCAP topic; may stay empty when only one fits")
+    parent_frame: str | None = Field(None, description="tf2_msgs/TFMessage: frame the pose is given in")
+    child_frame: str | None = Field(None, description="tf2_msgs/TFMessage: frame whose pose is taken")
+
+
+class GnssInput(GnssParams):
+    """The recording that holds GNSS fixes."""
+
+    file: Path
+
+
+class SlamInput(SlamParams):
+    """The recording that holds the SLAM trajectory."""
+
+    file: Path
+
+
+class LaneletMapInput(Params):
+    """The Lanelet2 map in the SLAM frame."""
+
+    file: Path
+
+
+class PointCloudParams(Params):
+    """How a point cloud is cut into tiles."""
+
+    tile_size_m: Positive = Field(20.0, description="edge of a tile, axis-parallel in the map frame")
+    voxel_size_m: NonNegative = Field(0.0, description="one point kept per voxel of this edge; 0 keeps all")
+
+
+class PointCloudInput(PointCloudParams):
+    """The point cloud map in the SLAM frame."""
+
+    file: Path
+
+
+class OsmFetchParams(Params):
+    """An OpenStreetMap server asked for the box around the track."""
+
+    endpoint: str = Field(description="http(s) address of an OSM API 0.6 or Overpass endpoint")
+    api: Literal["osm06", "overpass"] = "osm06"
+    margin_m: NonNegative = Field(200.0, description="added around the track's box")
+    max_age_days: NonNegative = Field(30.0, description="an extract older than this is fetched again")
+    timeout_s: Positive = 60.0
+
+
+class OsmRoadsParams(Params):
+    """Which ways of OpenStreetMap count as roads."""
+
+    highways: tuple[str, ...] = Field(
+        (
+            "motorway", "motorway_link", "trunk", "trunk_link", "primary", "primary_link", "secondary",
+            "secondary_link", "tertiary", "tertiary_link", "unclassified", "residential",
+            "living_street", "service", "busway", "road",
+        ),
+        description="values of `highway` that vehicles drive on",
+    )  # fmt: skip
+
+
+class OsmInput(OsmRoadsParams):
+    """OpenStreetMap: a file, or a server to fetch it from."""
+
+    file: Path | None = None
+    fetch: OsmFetchParams | None = None
+
+    @model_validator(mode="after")
+    def _one_of(self) -> OsmInput:
+        if (self.file is None) == (self.fetch is None):
+            raise ValueError("give either `file` or `fetch`")
+        return self
+
+
+# --- alignment ----------------------------------------------------------------------------------
+
+
+class GeoPoint(Params):
+    """A place on the WGS84 ellipsoid."""
+
+    lat_deg: Annotated[float, Field(ge=-80, le=84)]
+    lon_deg: Annotated[float, Field(ge=-180, le=180)]
+
+
+class ProjectionParams(Params):
+    """The map frame: UTM metres minus the origin."""
+
+    origin: Literal["first_fix"] | GeoPoint = "first_fix"
+    datum: str = Field("WGS84", description="datum and realisation of the fixes, recorded as given")
+    zone: str | None = Field(None, description='UTM zone such as "32N"; the origin\'s own when empty')
+
+
+class UmeyamaParams(Params):
+    """Rigid start (Umeyama 1991)."""
+
+    points: Annotated[int, Field(ge=3, le=1_000_000)] = Field(500, description="samples over the arc length")
+    grid_scale: bool = Field(
+        True, description="apply the UTM grid scale at the origin, so that true metres become grid metres"
+    )
+
+
+class ControlPointsParams(Params):
+    """Control points of the rubber sheet."""
+
+    max_rigid_distance_m: Positive = Field(
+        200.0, description="a pair further apart than this after the rigid start does not belong together"
+    )
+
+
+class RubberSheetParams(Params):
+    """Rubber sheet (White and Griffin 1985)."""
+
+    margin_share: NonNegative = Field(0.1, description="rectangle around all that moves, grown by this share")
+
+
+class AlignmentParams(Params):
+    """How track, map and cloud come into the map frame."""
+
+    master: Literal["gnss", "slam"] = Field("gnss", description="the frame that stays; slam moves OSM instead")
+    method: Literal["rigid", "rubber_sheet"] = "rubber_sheet"
+    control_points_file: Path | None = Field(None, description="CSV of pairs, see README")
+    umeyama: UmeyamaParams = UmeyamaParams()
+    control_points: ControlPointsParams = ControlPointsParams()
+    rubber_sheet: RubberSheetParams = RubberSheetParams()
+
+
+# --- conflation ---------------------------------------------------------------------------------
+
+
+class CollapseParams(Params):
+    """Adjacent lanelets become one centreline."""
+
+    lane_subtypes: tuple[str, ...] = Field(
+        ("road", "highway", "play_street", "bus_lane"), description="subtypes that count as lanes"
+    )
+    driving_side: Literal["right", "left"] = "right"
+    connect_distance_m: Positive = Field(1.0, description="ends nearer than this become one point")
+
+
+class MatchParams(Params):
+    """Buffer growing (Zhang and Meng 2005); defaults of the original."""
+
+    method: Literal["buffer_growing"] = "buffer_growing"
+    segment_length_m: Positive = 5.0
+    reference_angle_max_deg: Positive = Field(30.0, description="a reference polyline ends at a sharper corner")
+    buffer_half_width_m: Positive = 2.5
+    buffer_overshoot_m: NonNegative = 3.0
+    buffer_corner: Share = Field(0.5, description="how much of the buffer's corner is cut")
+    enlargement_factor: Annotated[float, Field(gt=1)] = 1.5
+    enlargements: Annotated[int, Field(ge=1, le=10)] = Field(3, description="rounds, the first included")
+    angle_max_deg: Positive = 20.0
+    length_max_m: Positive = 20.0
+    chord_max_m: Positive = 15.0
+    area_max_m: Positive = Field(10.0, description="enclosed area over length")
+    weight_angle: NonNegative = 0.35
+    weight_length: NonNegative = 0.2
+    weight_chord: NonNegative = 0.35
+    weight_area: NonNegative = 0.1
+    short_reference_m: NonNegative = Field(1.5, description="shorter references are left out of statistics")
+    true_positive_score: Share = Field(0.8, description="the paper's self-score for a true positive")
+
+
+class TransferRule(Params):
+    """One row of the mapping table: an OSM key and where its value goes."""
+
+    key: str = Field(description="OSM tag")
+    target: str = Field(description="Lanelet2 attribute")
+    parser: Literal["text", "speed", "subtype", "location", "oneway"] = "text"
+
+
+DEFAULT_RULES = (
+    TransferRule(key="highway", target="subtype", parser="subtype"),
+    TransferRule(key="highway", target="location", parser="location"),
+    TransferRule(key="maxspeed", target="speed_limit", parser="speed"),
+    TransferRule(key="name", target="road_name"),
+    TransferRule(key="surface", target="road_surface"),
+    TransferRule(key="oneway", target="one_way", parser="oneway"),
+    TransferRule(key="lane_markings", target="lane_markings"),
+)
+
+
+class TransferParams(Params):
+    """What OSM's tags become on the lanelets."""
+
+    rules: tuple[TransferRule, ...] = DEFAULT_RULES
+    split: bool = Field(True, description="cut lanelets where a transferred value changes")
+    split_end_distance_m: NonNegative = Field(3.0, description="no cut nearer to an end than this")
+    split_snap_m: NonNegative = Field(1.0, description="cut at an existing vertex when one is this near")
+    remove_fragments: bool = Field(False, description="delete unconnected lanelets beyond OSM's lane count")
+
+
+class ConflationParams(Params):
+    """How OpenStreetMap's knowledge reaches the lanelets."""
+
+    collapse: CollapseParams = CollapseParams()
+    match: MatchParams = MatchParams()
+    transfer: TransferParams = TransferParams()
+
+
+# --- output -------------------------------------------------------------------------------------
+
+
+class GeoreferenceParams(Params):
+    """How the finished map is written."""
+
+    projector: Literal["LocalCartesianUTM", "MGRS", "Local"] = Field(
+        "LocalCartesianUTM", description="projector_type in map_projector_info.yaml"
+    )
+    vertical_datum: str = Field("WGS84", description="recorded in map_projector_info.yaml")
+
+
+class EvaluationParams(Params):
+    """Limits of the quality table; an empty limit is not judged."""
+
+    deviation_rmse_max_m: Positive | None = None
+    match_rate_min: Share | None = None
+
+
+class FlexMapConfig(Params):
+    """Everything one map update needs."""
+
+    map: Name = Field(description="name of the map; releases go to releases/<map>/")
+    gnss: GnssInput
+    slam: SlamInput
+    lanelet_map: LaneletMapInput | None = None
+    point_cloud: PointCloudInput | None = None
+    osm: OsmInput | None = None
+    projection: ProjectionParams = ProjectionParams()
+    alignment: AlignmentParams = AlignmentParams()
+    conflation: ConflationParams = ConflationParams()
+    georeference: GeoreferenceParams = GeoreferenceParams()
+    evaluation: EvaluationParams = EvaluationParams()
+
+    @model_validator(mode="after")
+    def _needs_control_points(self) -> FlexMapConfig:
+        if self.alignment.method == "rubber_sheet" and self.alignment.control_points_file is None:
+            raise ValueError("alignment.method rubber_sheet needs alignment.control_points_file")
+        return self

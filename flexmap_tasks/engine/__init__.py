@@ -1,0 +1,1 @@
+"""Stages, action keys, graphs and the runners that give them meaning."""

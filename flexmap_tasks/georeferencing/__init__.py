@@ -1,0 +1,1 @@
+"""The map frame becomes global coordinates and an Autoware bundle."""
