@@ -24,6 +24,7 @@ class Stage(Generic[P, T]):
     outside: bool = False
 
     def __call__(self, *args: P.args, **kwargs: P.kwargs) -> T:
+        """Just call the function."""
         return self.function(*args, **kwargs)
 
     @property

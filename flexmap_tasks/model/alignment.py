@@ -3,8 +3,43 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
+from typing import ClassVar
 
+import numpy as np
+
+from flexmap_tasks.geometry import sheet as kernels
 from flexmap_tasks.model.arrays import Bools, Floats, Ints, Strings, require
+
+
+@dataclass(frozen=True, slots=True)
+class Extent:
+    """An axis-parallel box, metres, in the frame of what it bounds."""
+
+    x_min_m: float
+    y_min_m: float
+    x_max_m: float
+    y_max_m: float
+
+    @classmethod
+    def of(cls, xy_m: Floats) -> Extent | None:
+        """The box around finite points, (n, 2) or (n, 3); None when there are none."""
+        points = xy_m[np.isfinite(xy_m[:, :2]).all(axis=1), :2]
+        if len(points) == 0:
+            return None
+        (x_min, y_min), (x_max, y_max) = points.min(axis=0).tolist(), points.max(axis=0).tolist()
+        return cls(x_min, y_min, x_max, y_max)
+
+    def corners(self) -> Floats:
+        """(4, 2) the corners, counter-clockwise from the lower left."""
+        return np.array(
+            [
+                [self.x_min_m, self.y_min_m],
+                [self.x_max_m, self.y_min_m],
+                [self.x_max_m, self.y_max_m],
+                [self.x_min_m, self.y_max_m],
+            ]
+        )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -18,6 +53,8 @@ class RigidMotion:
     rmse_m : root mean square distance of the fitted samples, metres
     """
 
+    as_json: ClassVar[bool] = True
+
     rotation: Floats
     translation_m: Floats
     grid_scale: float
@@ -26,6 +63,33 @@ class RigidMotion:
 
     def __post_init__(self) -> None:
         require(self.rotation.shape == (2, 2) and self.translation_m.shape == (2,), "a planar motion")
+
+    @property
+    def angle_rad(self) -> float:
+        """Counter-clockwise turn from the moving to the fixed frame."""
+        return float(np.arctan2(self.rotation[1, 0], self.rotation[0, 0]))
+
+    @property
+    def linear(self) -> Floats:
+        """(2, 2) grid_scale * rotation."""
+        return self.grid_scale * self.rotation
+
+    def apply_xy(self, xy_m: Floats) -> Floats:
+        """(n, 2) places in the fixed frame of (n, 2) places in the moving one."""
+        a, t = self.linear, self.translation_m
+        x, y = xy_m[:, 0], xy_m[:, 1]  # written out: a matrix product may round differently for other n
+        return np.column_stack([a[0, 0] * x + a[0, 1] * y + t[0], a[1, 0] * x + a[1, 1] * y + t[1]])
+
+    def inverse(self) -> RigidMotion:
+        """The motion back."""
+        rotation = np.ascontiguousarray(self.rotation.T)
+        return RigidMotion(
+            rotation,
+            -(rotation @ self.translation_m) / self.grid_scale,
+            1.0 / self.grid_scale,
+            1.0 / self.fitted_scale,
+            self.rmse_m,
+        )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -50,18 +114,33 @@ class ControlPoints:
     def __len__(self) -> int:
         return len(self.label)
 
+    def take(self, rows: Ints | Bools) -> ControlPoints:
+        """The points of the given rows, in that order."""
+        return ControlPoints(
+            self.label[rows],
+            self.source_xy_m[rows],
+            self.target_xy_m[rows],
+            self.sigma_m[rows],
+            self.used[rows],
+            self.reason[rows],
+        )
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RubberSheet:
-    """A triangulated plane with one affine map per triangle; a rigid shift outside of it.
+    """A triangulated plane with one affine map per triangle; one shift for all the rest of the plane.
 
-    source_xy_m, target_xy_m : (v, 2) float64, the vertices before and after
+    source_xy_m, target_xy_m : (v, 2) float64, the vertices before and after, in the fixed frame
     triangles : (t, 3) int64, rows of the vertices, counter-clockwise
+    outside_shift_m : (2,) float64, how everything outside of all triangles is shifted
     """
+
+    as_json: ClassVar[bool] = True
 
     source_xy_m: Floats
     target_xy_m: Floats
     triangles: Ints
+    outside_shift_m: Floats
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -70,3 +149,58 @@ class Warp:
 
     motion: RigidMotion
     sheet: RubberSheet | None
+
+    def apply(self, xyz_m: Floats) -> Floats:
+        """(n, 3) places in the fixed frame of (n, 3) places in the moving one; z is kept, NaN stays NaN."""
+        return kernels.move(_mesh(self, len(xyz_m)), xyz_m)
+
+    def jacobian(self, xyz_m: Floats) -> Floats:
+        """(n, 2, 2) how the plane is turned and stretched at (n, 3) places of the moving frame."""
+        mesh = _mesh(self, len(xyz_m))
+        return mesh.affine[kernels.locate(mesh, xyz_m), :, :2]
+
+    def inverse(self) -> Warp:
+        """The warp from the fixed frame back to the moving one, exact."""
+        back = self.motion.inverse()
+        if self.sheet is None:
+            return Warp(back, None)
+        return Warp(
+            back,
+            RubberSheet(
+                back.apply_xy(self.sheet.target_xy_m),
+                back.apply_xy(self.sheet.source_xy_m),
+                self.sheet.triangles,
+                -(back.linear @ self.sheet.outside_shift_m),
+            ),
+        )
+
+    def restrict(self, extent: Extent) -> Warp:
+        """The part of the warp that a box in the moving frame touches, as a value of its own.
+
+        Inside the box it gives the same bits as the whole; outside of it, nothing is promised. What lies
+        elsewhere in the whole warp does not change this value, so it can name the result of a tile.
+        """
+        motion = RigidMotion(self.motion.rotation, self.motion.translation_m, self.motion.grid_scale, 1.0, 0.0)
+        if self.sheet is None:
+            return Warp(motion, None)
+        sheet, moving = self.sheet, motion.inverse().apply_xy(self.sheet.source_xy_m)
+        corners = extent.corners()
+        keep = kernels.touching(moving[sheet.triangles], corners[0], corners[2])
+        triangles = sheet.triangles[keep]
+        rows = np.unique(triangles)
+        outside = sheet.outside_shift_m if _leaves(corners, moving) else np.zeros(2)
+        return Warp(
+            motion,
+            RubberSheet(
+                sheet.source_xy_m[rows], sheet.target_xy_m[rows], np.searchsorted(rows, triangles), outside
+            ),
+        )
+
+
+def _leaves(corners: Floats, vertices: Floats) -> bool:
+    """Whether a box may reach out of the mesh: cautious, by a centre and the nearest of the hull's edges."""
+    hull = vertices[_hull(vertices)]
+    edge = np.roll(hull, -1, axis=0) - hull
+    offset = corners[:, None] - hull
+    side = edge[:, 0] * offset[..., 1] - edge[:, 1] * offset[..., 0]
+    return bool((side <= 1e-3 * np.hypot(edge[:, 0], edge[:, 1])).any())

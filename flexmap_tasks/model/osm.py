@@ -63,29 +63,39 @@ class Tags:
         return Tags(offset, self.key[flat], self.value[flat])
 
     def with_values(self, rows: Ints, keys: Iterable[str], values: Iterable[str]) -> Tags:
-        """A copy where element rows[i] has keys[i] = values[i]: replaced in place, or appended after its tags."""
-        wanted: dict[int, dict[str, str]] = {}
-        for row, key, value in zip(rows.tolist(), keys, values, strict=True):
-            wanted.setdefault(row, {})[key] = value
+        """A copy where element rows[i] has keys[i] = values[i]: replaced in place, or appended in this order.
+
+        The last one counts where an element gets the same key twice.
+        """
         value = self.value.copy()
-        extra: list[tuple[int, str, str]] = []
-        for row, pairs in wanted.items():
-            start, end = int(self.offset[row]), int(self.offset[row + 1])
-            place = {k: start + i for i, k in enumerate(self.key[start:end])}
-            for key, new in pairs.items():
-                if key in place:
-                    value[place[key]] = new
-                else:
-                    extra.append((row, key, new))
-        if not extra:
+        key_in, value_in = strings(keys), strings(values)
+        place = self._places(rows, key_in)
+        value[place[place >= 0]] = value_in[place >= 0]
+        new: dict[tuple[int, str], str] = {}
+        for i in np.flatnonzero(place < 0).tolist():
+            new[int(rows[i]), key_in[i]] = value_in[i]
+        if not new:
             return Tags(self.offset, self.key, value)
-        added = np.bincount([e[0] for e in extra], minlength=len(self))
-        at = self.offset[[e[0] for e in extra]] + np.diff(self.offset)[[e[0] for e in extra]]
-        order = np.argsort([e[0] for e in extra], kind="stable")
-        key_out = np.insert(self.key, at[order], strings(extra[i][1] for i in order))
-        value_out = np.insert(value, at[order], strings(extra[i][2] for i in order))
+        owner = np.array([row for row, _ in new], dtype=np.int64)
+        order = np.argsort(owner, kind="stable")
+        at = self.offset[owner[order] + 1]
+        added = np.bincount(owner, minlength=len(self))
+        key_out = np.insert(self.key, at, strings(k for _, k in new)[order])
+        value_out = np.insert(value, at, strings(new.values())[order])
         offset = self.offset + np.concatenate([[0], np.cumsum(added)])
         return Tags(offset.astype(np.int64), key_out, value_out)
+
+    def _places(self, rows: Ints, keys: Strings) -> Ints:
+        """Flat position of keys[i] in element rows[i], -1 where it has no such key."""
+        out = np.full(len(rows), -1, dtype=np.int64)
+        owner = self.owner()
+        for key in dict.fromkeys(keys.tolist()):
+            here = np.full(len(self), -1, dtype=np.int64)
+            hit = np.flatnonzero(self.key == key)
+            here[owner[hit]] = hit
+            wanted = keys == key
+            out[wanted] = here[rows[wanted]]
+        return out
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -156,3 +166,18 @@ class OsmDocument:
     relations: OsmRelations
     other_xml: Strings
     other_position: Ints
+
+
+def rows_of(ids: Ints, wanted: Ints) -> Ints:
+    """Row of each wanted id among unique `ids`, -1 where it is not there."""
+    if not len(ids):
+        return np.full(len(wanted), -1, dtype=np.int64)
+    order = np.argsort(ids, kind="stable")
+    place = np.minimum(np.searchsorted(ids, wanted, sorter=order), len(ids) - 1)
+    row = order[place]
+    return np.where(ids[row] == wanted, row, -1)
+
+
+def node_rows(document: OsmDocument) -> Ints:
+    """(m,) row in `nodes` of every entry of `ways.ref`, -1 where the file has no such node."""
+    return rows_of(document.nodes.id, document.ways.ref)

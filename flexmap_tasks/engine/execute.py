@@ -1,0 +1,200 @@
+"""Running one node: look it up, or load its inputs, call the function and store what it returns."""
+
+from __future__ import annotations
+
+import os
+import socket
+import time
+from collections.abc import Callable, Iterable, Mapping
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from datetime import UTC, datetime, timedelta
+from typing import Any
+
+from flexmap_tasks.engine.graph import Input, Node, SourceRef
+from flexmap_tasks.engine.keys import action_key, input_types, preimage
+from flexmap_tasks.engine.sources import Stamp, file_stamp, source_artifact
+from flexmap_tasks.errors import InputError
+from flexmap_tasks.formats.artifacts import decode, encode
+from flexmap_tasks.model.source import Source
+from flexmap_tasks.store.artifact import Artifact, Blob, canonical_json, digest_of
+from flexmap_tasks.store.store import ActionRecord, ArtifactFiles, Store
+
+Progress = Callable[[int, int], None]
+"""(items done, items in all) of a stage that runs per item."""
+
+
+@dataclass(frozen=True, slots=True)
+class Outcome:
+    """What became of a node.
+
+    cached : nothing ran; seconds : compute time when it was made; computed : items that ran, of `items`
+    """
+
+    name: str
+    key: str
+    artifact: Artifact
+    cached: bool
+    seconds: float
+    computed: int = 0
+    items: int = 1
+
+
+@dataclass(frozen=True, slots=True)
+class Bound:
+    """An input with its content known: an artifact under a base name, or a file from outside."""
+
+    digest: str
+    artifact: Artifact
+    name: str
+    source: SourceRef | None = None
+    stamp: Stamp | None = None
+
+
+class Engine:
+    """A store, and values decoded from it during one run."""
+
+    def __init__(self, store: Store) -> None:
+        self.store = store
+        self._values: dict[tuple[str, str, str], Any] = {}
+
+    def bind(self, ref: Input, artifacts: Mapping[str, Artifact]) -> Bound:
+        """An input as content; `artifacts` holds what the nodes before have made."""
+        if isinstance(ref, SourceRef):
+            stamp = file_stamp(ref.path)
+            artifact = source_artifact(self.store, ref.path)
+            return Bound(artifact.digest, artifact, ref.name, ref, stamp)
+        artifact = ref.select(artifacts[ref.node])
+        return Bound(artifact.digest, artifact, ref.name)
+
+    def image(self, node: Node, bound: Mapping[str, Bound]) -> dict[str, Any]:
+        """Preimage of the node's action key."""
+        image = preimage(node.stage, node.params, {n: b.digest for n, b in bound.items()})
+        return {**image, "each": node.each} if node.each else image
+
+    def find(self, node: Node, image: Mapping[str, Any]) -> ActionRecord | None:
+        """A record that can stand for the node, if there is one young enough."""
+        record = self.store.find(action_key(image))
+        max_age_days = getattr(node.params, "max_age_days", None) if node.stage.outside else None
+        if record is not None and max_age_days is not None:
+            age = datetime.now(UTC) - datetime.fromisoformat(record.started)
+            if age > timedelta(days=max_age_days):
+                return None
+        return record
+
+    def run(self, node: Node, bound: Mapping[str, Bound], progress: Progress | None = None) -> Outcome:
+        """The node's outcome, from the store or computed now."""
+        image = self.image(node, bound)
+        record = self.find(node, image)
+        if record is not None:
+            return Outcome(node.name, record.key, record.output, cached=True, seconds=record.seconds)
+        if node.each:
+            return self._run_each(node, bound, image, progress or (lambda _done, _all: None))
+        record = self._compute(node, image, self._load_inputs(node, bound))
+        _check_unchanged(bound)
+        record = self._remember(node, record)
+        return Outcome(node.name, record.key, record.output, cached=False, seconds=record.seconds, computed=1)
+
+    def load(self, bound: Bound, kind: Any) -> Any:
+        """The value of an input; the same object when it is asked for again."""
+        if bound.source is not None:
+            return Source(bound.name, bound.source.path)
+        key = (bound.digest, bound.name, repr(kind))
+        if key not in self._values:
+            self._values[key] = decode(kind, ArtifactFiles(self.store, bound.artifact), bound.name)
+        return self._values[key]
+
+    def _load_inputs(self, node: Node, bound: Mapping[str, Bound]) -> dict[str, Any]:
+        kinds = input_types(node.stage)
+        return {name: self.load(b, kinds[name]) for name, b in bound.items()}
+
+    def _compute(self, node: Node, image: Mapping[str, Any], values: Mapping[str, Any]) -> ActionRecord:
+        started, clock = datetime.now(UTC), time.perf_counter()
+        arguments = dict(values) if node.params is None else {**values, "params": node.params}
+        value = node.stage.function(**arguments)
+        files = {path: self.store.put_blob(content) for path, content in encode(value, node.stage.artifact)}
+        seconds = time.perf_counter() - clock
+        host = socket.gethostname()
+        key = action_key(image)
+        return ActionRecord(key, dict(image), Artifact.of(files), seconds, started.isoformat(), host)
+
+    def _remember(self, node: Node, record: ActionRecord) -> ActionRecord:
+        """The record that counts: another process may have been first with the same action."""
+        return self.store.put_record(record, replace=node.stage.outside)
+
+    def _run_each(
+        self, node: Node, bound: Mapping[str, Bound], image: Mapping[str, Any], progress: Progress
+    ) -> Outcome:
+        """One action per item, each cached on its own; then one for the whole, so that a rerun asks once."""
+        assert node.each is not None  # noqa: S101 - told by the caller, for the type checker
+        started = datetime.now(UTC)
+        items = bound[node.each].artifact.sub(f"{bound[node.each].name}/").items()
+        others = {n: b for n, b in bound.items() if n != node.each}
+        values = {n: self.load(b, input_types(node.stage)[n]) for n, b in others.items()}
+
+        def one(key: str) -> tuple[ActionRecord, bool]:
+            return self._run_item(node, key, items[key], others, values)
+
+        done: list[tuple[ActionRecord, bool]] = []
+        with ThreadPoolExecutor(max_workers=os.cpu_count()) as pool:
+            for result in pool.map(one, items):
+                done.append(result)
+                progress(len(done), len(items))
+        files = _collect(node.stage.artifact, zip(items, (r for r, _ in done), strict=True))
+        seconds = sum(r.seconds for r, _ in done)
+        whole = ActionRecord(
+            action_key(image),
+            dict(image),
+            Artifact.of(files),
+            seconds,
+            started.isoformat(),
+            socket.gethostname(),
+        )
+        whole = self._remember(node, whole)
+        ran = sum(1 for _, fresh in done if fresh)
+        return Outcome(
+            node.name, whole.key, whole.output, cached=False, seconds=seconds, computed=ran, items=len(items)
+        )
+
+    def _run_item(
+        self, node: Node, key: str, item: Artifact, others: Mapping[str, Bound], values: Mapping[str, Any]
+    ) -> tuple[ActionRecord, bool]:
+        narrowed, digests = dict(values), {n: b.digest for n, b in others.items()}
+        if node.narrow is not None:
+            for name, value in node.narrow(key, values).items():
+                narrowed[name], digests[name] = value, _digest_of_value(value, name)
+        each = str(node.each)
+        image = preimage(node.stage, node.params, {**digests, each: _rename(item, key, each).digest})
+        found = self.store.find(action_key(image))
+        if found is not None:
+            return found, False
+        kind = input_types(node.stage)[each]
+        narrowed[each] = decode(kind, ArtifactFiles(self.store, item), key)
+        return self._remember(node, self._compute(node, image, narrowed)), True
+
+
+def _collect(base: str, records: Iterable[tuple[str, ActionRecord]]) -> dict[str, Blob]:
+    """The items' files under `<base>/<key>...`: a single file keeps only its suffix, a folder becomes the key's."""
+    files: dict[str, Blob] = {}
+    for key, record in records:
+        for path, blob in record.output.files:
+            head, slash, rest = path.partition("/")
+            suffix = f"/{rest}" if slash else "".join(head.partition(".")[1:])
+            files[f"{base}/{key}{suffix}"] = blob
+    return files
+
+
+def _rename(item: Artifact, key: str, name: str) -> Artifact:
+    """The item with its key taken out of the paths, so that equal content has equal digests wherever it lies."""
+    return Artifact.of({f"{name}{path[len(key) :]}": blob for path, blob in item.files})
+
+
+def _digest_of_value(value: Any, name: str) -> str:
+    return digest_of(canonical_json([[path, digest_of(content)] for path, content in encode(value, name)]))
+
+
+def _check_unchanged(bound: Mapping[str, Bound]) -> None:
+    """A source that was written to while a stage read it must not become a result under its old digest."""
+    for b in bound.values():
+        if b.source is not None and file_stamp(b.source.path) != b.stamp:
+            raise InputError(b.name, "changed while it was read; run again when it is complete")

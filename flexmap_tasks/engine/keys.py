@@ -1,0 +1,71 @@
+"""Action keys: a digest over everything that can change what a stage makes."""
+
+from __future__ import annotations
+
+import functools
+import typing
+from collections.abc import Mapping
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+from flexmap_tasks.config import Params
+from flexmap_tasks.engine.fingerprint import code_modules
+from flexmap_tasks.engine.stage import AnyStage
+from flexmap_tasks.store.artifact import canonical_json, digest_of
+
+LIBRARIES = ("numpy", "scipy", "pyproj", "shapely", "numba", "pyarrow", "lxml", "osmium", "mcap")
+"""Libraries that can change the numbers or the bytes of a result."""
+
+CODECS = ("flexmap_tasks.formats.artifacts", "flexmap_tasks.formats.columns")
+
+
+def preimage(stage: AnyStage, params: Params | None, inputs: Mapping[str, str]) -> dict[str, Any]:
+    """All that the key of an action is made of, readable; `inputs` holds artifact digests by name."""
+    return {
+        "stage": stage.name,
+        "artifact": stage.artifact,
+        "code": code_modules(stage.function.__module__, *CODECS),
+        "params": params_json(params),
+        "inputs": dict(inputs),
+        "libraries": library_versions(),
+    }
+
+
+def action_key(image: Mapping[str, Any]) -> str:
+    """Digest of a preimage."""
+    return digest_of(canonical_json(image))
+
+
+def params_json(params: Params | None) -> dict[str, Any]:
+    """Settings by value; empty ones left out, so that a new option does not spoil old results."""
+    if params is None:
+        return {}
+    _refuse_paths(params)
+    return typing.cast("dict[str, Any]", _without_empty(params.model_dump(mode="json")))
+
+
+def _refuse_paths(params: Params) -> None:
+    """A path says nothing about content: files are inputs, never settings of a stage."""
+    for name in type(params).model_fields:
+        if isinstance(getattr(params, name), Path):
+            raise TypeError(f"{type(params).__name__}.{name} is a path and cannot be part of a key")
+
+
+def _without_empty(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {k: _without_empty(v) for k, v in value.items() if v is not None}
+    return [_without_empty(v) for v in value] if isinstance(value, list) else value
+
+
+@functools.cache
+def library_versions() -> dict[str, str]:
+    """Installed versions of the libraries that matter."""
+    return {name: version(name) for name in LIBRARIES}
+
+
+@functools.cache
+def input_types(stage: AnyStage) -> dict[str, Any]:
+    """Types of a stage's inputs by name, `params` and the return value left out."""
+    hints = typing.get_type_hints(stage.function)
+    return {name: kind for name, kind in hints.items() if name not in ("params", "return")}

@@ -1,0 +1,56 @@
+"""Files from outside: digested once, remembered by path, size, time and inode."""
+
+from __future__ import annotations
+
+import hashlib
+import time
+from pathlib import Path
+
+from flexmap_tasks.errors import InputError
+from flexmap_tasks.store.artifact import Artifact, Blob, digest_of, seal, unseal
+from flexmap_tasks.store.store import Store
+
+RACY_NS = 2_000_000_000
+"""A file younger than this may still change within the resolution of its time stamp: it is not remembered."""
+
+Stamp = tuple[int, int, int]
+
+
+def file_stamp(path: Path) -> Stamp:
+    """Size, modification time and inode; InputError when there is no such file."""
+    try:
+        stat = path.stat()
+    except OSError as error:
+        raise InputError(
+            str(path), f"no such file ({error.strerror}); check the path in the config"
+        ) from error
+    if not path.is_file():
+        raise InputError(str(path), "is not a file; the config needs the path of a file here")
+    return stat.st_size, stat.st_mtime_ns, stat.st_ino
+
+
+def source_artifact(store: Store, path: Path) -> Artifact:
+    """The file as an artifact, digested now or remembered from before."""
+    stamp = file_stamp(path)
+    memo = f"memo/{digest_of(str(path.resolve()).encode())}.json"
+    sha256 = _remembered(store.backend.get(memo), stamp)
+    if sha256 is None:
+        sha256 = _digest_file(path)
+        if file_stamp(path) != stamp:
+            raise InputError(path.name, "changed while it was read; run again when it is complete")
+        if time.time_ns() - stamp[1] > RACY_NS:
+            store.backend.put(memo, seal({"stamp": list(stamp), "sha256": sha256}), replace=True)
+    return Artifact.of({"source": Blob(sha256, stamp[0])})
+
+
+def _remembered(content: bytes | None, stamp: Stamp) -> str | None:
+    memo = unseal(content)
+    return str(memo["sha256"]) if memo and tuple(memo["stamp"]) == stamp else None
+
+
+def _digest_file(path: Path) -> str:
+    try:
+        with path.open("rb") as file:
+            return hashlib.file_digest(file, "sha256").hexdigest()
+    except OSError as error:
+        raise InputError(str(path), f"cannot be read ({error.strerror})") from error

@@ -1,0 +1,131 @@
+"""The chunks of an MCAP file: unpacked within bounds, checked, and walked record by record."""
+
+from __future__ import annotations
+
+import struct
+import zlib
+from collections.abc import Iterator
+from dataclasses import dataclass
+from mmap import mmap
+
+import lz4.frame
+import numpy as np
+import zstandard
+
+from flexmap_tasks.model.arrays import Ints
+
+Buffer = bytes | memoryview | mmap
+
+FREE_SIZE = 64 << 20
+GREATEST_RATIO = 256
+"""A chunk may unpack to FREE_SIZE + GREATEST_RATIO times its packed size, no more: lz4 reaches a ratio of 255."""
+
+_HEAD = struct.Struct("<BQ")
+_FIXED = struct.Struct("<QQQII")
+MESSAGE = 0x05
+
+
+class DamagedError(Exception):
+    """Bytes that break the MCAP format.
+
+    at : offset of the first byte that cannot be understood
+    """
+
+    def __init__(self, at: int, rule: str) -> None:
+        super().__init__(at, rule)
+        self.at, self.rule = at, rule
+
+
+@dataclass(frozen=True, slots=True)
+class Chunk:
+    """Where a chunk stands and what its index says.
+
+    begin, end : bounds of the chunk record's content in the file
+    counts : messages by channel id, from the message index behind the chunk; None where there is no index
+    """
+
+    begin: int
+    end: int
+    counts: dict[int, int] | None
+
+
+def records(data: Buffer, begin: int, end: int) -> Iterator[tuple[int, int, int]]:
+    """Opcode and content bounds of each record in data[begin:end].
+
+    Raises DamagedError where a record does not fit into the bytes that are there.
+    """
+    at = begin
+    while at < end:
+        if end - at < _HEAD.size:
+            raise DamagedError(at, "a record head is cut off")
+        opcode, length = _HEAD.unpack_from(data, at)
+        start = at + _HEAD.size
+        if length > end - start:
+            raise DamagedError(at, f"a record of {length:,} bytes does not fit into the rest")
+        yield opcode, start, start + length
+        at = start + length
+
+
+def message_bounds(data: Buffer) -> tuple[Ints, Ints]:
+    """Content bounds of all message records of an unpacked chunk, (n,) each."""
+    starts: list[int] = []
+    stops: list[int] = []
+    at, end, unpack, size = 0, len(data), _HEAD.unpack_from, _HEAD.size
+    while at + size <= end:  # the hot loop of reading: one step per record
+        opcode, length = unpack(data, at)
+        start = at + size
+        at = start + length
+        if opcode == MESSAGE:
+            starts.append(start)
+            stops.append(at)
+    if at != end:
+        raise DamagedError(min(at, end), "the last record of the chunk is cut off")
+    return np.asarray(starts, dtype=np.int64), np.asarray(stops, dtype=np.int64)
+
+
+def unpack_chunk(data: Buffer, chunk: Chunk) -> bytes:
+    """The records inside a chunk, unpacked and checked against size and CRC."""
+    if chunk.end - chunk.begin < _FIXED.size:
+        raise DamagedError(chunk.begin, "the chunk's head is cut off")
+    _, _, size, crc, name_length = _FIXED.unpack_from(data, chunk.begin)
+    at = chunk.begin + _FIXED.size
+    if name_length > chunk.end - at - 8:
+        raise DamagedError(at, "the chunk's head is cut off")
+    name = bytes(data[at : at + name_length])
+    at += name_length
+    (packed_size,) = struct.unpack_from("<Q", data, at)
+    if packed_size > chunk.end - at - 8:
+        raise DamagedError(at, "the chunk is longer than its record")
+    packed = bytes(data[at + 8 : at + 8 + packed_size])
+    if size > FREE_SIZE + GREATEST_RATIO * packed_size:
+        raise DamagedError(at, f"the chunk claims to unpack from {packed_size:,} to {size:,} bytes")
+    unpacked = _decompress(name, packed, size, at)
+    if len(unpacked) != size:
+        raise DamagedError(at, f"the chunk unpacks to {len(unpacked):,} bytes and not to {size:,}")
+    if crc and zlib.crc32(unpacked) != crc:
+        raise DamagedError(at, "the chunk's checksum (CRC-32) does not agree with its bytes")
+    return unpacked
+
+
+def _decompress(name: bytes, packed: bytes, size: int, at: int) -> bytes:
+    try:
+        if name == b"":
+            return packed
+        if name == b"zstd":
+            return _unzstd(packed, size, at)
+        if name == b"lz4":
+            # One byte over the claim is enough to see that it is wrong.
+            return bytes(lz4.frame.LZ4FrameDecompressor().decompress(packed, max_length=size + 1))
+    except (zstandard.ZstdError, RuntimeError, EOFError, ValueError) as error:
+        raise DamagedError(at, f"the chunk does not unpack ({error})") from error
+    raise DamagedError(at, f"compression {name[:20]!r} is unknown; known are none, lz4 and zstd")
+
+
+def _unzstd(packed: bytes, size: int, at: int) -> bytes:
+    # The library allocates what the frame claims, so the claim is compared with the checked size before.
+    claim = zstandard.frame_content_size(packed)
+    if claim not in (-1, size):
+        raise DamagedError(at, f"the chunk unpacks to {claim:,} bytes and not to {size:,}")
+    if size == 0:
+        return b""
+    return zstandard.ZstdDecompressor().decompress(packed, max_output_size=size)

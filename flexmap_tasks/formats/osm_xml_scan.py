@@ -1,0 +1,359 @@
+"""A scanner for the plain form of OSM XML: one pass over the bytes, everything as numbers.
+
+It knows only what nearly all files are made of, checks it strictly, and gives up at the first byte it is not
+sure of; the caller then takes the full XML parser. What it accepts is well-formed XML by construction, and means
+the same to the full parser.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+NODE, WAY, RELATION, OTHER = 0, 1, 2, 3
+PROBES = 64
+"""A text not found in so many steps counts as new: hostile texts that collide cost no more than that."""
+MAX_ATTRIBUTES = 32
+"""More attributes on one element are left to the full parser."""
+
+
+class Scan(NamedTuple):
+    """What stands in a document. Texts are numbers into `text_start`, `text_end` (byte spans).
+
+    kind, id : per top-level element; attribute_end, tag_end, item_end : ends of its share of the flat columns
+    span : (n, 2) bytes of the elements of kind OTHER
+    attribute, tag : (m, 2) name and value; ref : of `nd` and `member` alike; member : (m, 2) type and role, or -1
+    root : (r, 2) attributes of the root element
+    """
+
+    kind: NDArray[np.int8]
+    id: NDArray[np.int64]
+    attribute_end: NDArray[np.int64]
+    tag_end: NDArray[np.int64]
+    item_end: NDArray[np.int64]
+    span: NDArray[np.int64]
+    attribute: NDArray[np.int32]
+    tag: NDArray[np.int32]
+    ref: NDArray[np.int64]
+    member: NDArray[np.int32]
+    root: NDArray[np.int32]
+    text_start: NDArray[np.int64]
+    text_end: NDArray[np.int64]
+
+
+def scan(data: NDArray[np.uint8], start: int) -> Scan | None:
+    """Scan from the root element at `start` to the end; None where the plain form ends.
+
+    data : (n,) uint8, the file and a final zero byte
+    """
+    # The smallest element is <a/>, the smallest attribute ' a=""': memory is bounded by the bytes there are.
+    elements = min(int(np.count_nonzero(data == ord("<"))), len(data) // 4 + 1)
+    attributes = min(int(np.count_nonzero(data == ord("="))), len(data) // 5 + 1)
+    table = np.full(1 << max(10, int(4 * attributes).bit_length()), -1, dtype=np.int32)
+    out = Scan(
+        kind=np.empty(elements, dtype=np.int8),
+        id=np.empty(elements, dtype=np.int64),
+        attribute_end=np.empty(elements, dtype=np.int64),
+        tag_end=np.empty(elements, dtype=np.int64),
+        item_end=np.empty(elements, dtype=np.int64),
+        span=np.empty((elements, 2), dtype=np.int64),
+        attribute=np.empty((attributes, 2), dtype=np.int32),
+        tag=np.empty((attributes, 2), dtype=np.int32),
+        ref=np.empty(attributes, dtype=np.int64),
+        member=np.empty((attributes, 2), dtype=np.int32),
+        root=np.empty((MAX_ATTRIBUTES, 2), dtype=np.int32),
+        text_start=np.empty(2 * attributes, dtype=np.int64),
+        text_end=np.empty(2 * attributes, dtype=np.int64),
+    )
+    hashes = np.empty(2 * attributes, dtype=np.uint64)
+    size = np.zeros(6, dtype=np.int64)  # elements, attributes, tags, items, root attributes, texts
+    if not _document(data, start, out, table, hashes, size):
+        return None
+    n, a, t, i, r, x = (int(s) for s in size)
+    return Scan(
+        out.kind[:n], out.id[:n], out.attribute_end[:n], out.tag_end[:n], out.item_end[:n], out.span[:n],
+        out.attribute[:a], out.tag[:t], out.ref[:i], out.member[:i], out.root[:r],
+        out.text_start[:x], out.text_end[:x],
+    )  # fmt: skip
+
+
+_N_ELEMENTS, _N_ATTRIBUTES, _N_TAGS, _N_ITEMS, _N_ROOT, _N_TEXTS = range(6)
+_LT, _GT, _SLASH, _EQUALS, _QUOTE, _APOSTROPHE, _AND, _BRACKET = (ord(c) for c in "<>/=\"'&]")
+
+
+def _is_name(c: int) -> bool:
+    return 97 <= c <= 122 or 65 <= c <= 90 or c == 95 or 48 <= c <= 57 or c == 45 or c == 46
+
+
+def _name(d: Any, i: int) -> int:
+    """End of the plain name at i; i itself where there is none."""
+    c = d[i]
+    if not (97 <= c <= 122 or 65 <= c <= 90 or c == 95):
+        return i
+    while _is_name(d[i]):
+        i += 1
+    return i
+
+
+def _space(d: Any, i: int) -> int:
+    while d[i] == 32 or d[i] == 10 or d[i] == 9 or d[i] == 13:
+        i += 1
+    return i
+
+
+def _attribute(d: Any, i: int) -> tuple[int, int, int, int]:
+    """Name and value at i as (name end, value start, value end, next); next is -1 where it is not plain."""
+    end = _name(d, i)
+    j = _space(d, end)
+    if end == i or d[j] != _EQUALS:
+        return i, i, i, -1
+    j = _space(d, j + 1)
+    quote = d[j]
+    if quote not in (_QUOTE, _APOSTROPHE):
+        return i, i, i, -1
+    value = j + 1
+    j = value
+    while d[j] != quote:
+        # Line ends and tabs are changed by XML's rules, and control bytes are none of its characters.
+        if d[j] < 32 or d[j] == _LT:
+            return i, i, i, -1
+        j += 1
+    return end, value, j, j + 1
+
+
+def _is(d: Any, i: int, end: int, word: Any) -> bool:
+    if end - i != len(word):
+        return False
+    for k in range(len(word)):
+        if d[i + k] != word[k]:
+            return False
+    return True
+
+
+def _integer(d: Any, i: int, end: int) -> tuple[bool, int]:
+    """A plain integer of at most 18 digits."""
+    negative = d[i] == 45
+    if negative:
+        i += 1
+    value = np.int64(0)
+    if end <= i or end - i > 18:
+        return False, value
+    while i < end:
+        digit = np.int64(d[i]) - 48
+        if digit < 0 or digit > 9:
+            return False, value
+        value = value * 10 + digit
+        i += 1
+    return True, -value if negative else value
+
+
+def _text(d: Any, i: int, end: int, out: Any, table: Any, hashes: Any, size: Any) -> int:
+    """Number of a text; equal texts get the same number as a rule."""
+    h = np.uint64(14695981039346656037)
+    for k in range(i, end):
+        h = (h ^ np.uint64(d[k])) * np.uint64(1099511628211)
+    mask = np.uint64(len(table) - 1)
+    slot = (h ^ (h >> np.uint64(32))) & mask
+    for _ in range(PROBES):
+        known = table[slot]
+        if known < 0:
+            break
+        if hashes[known] == h and out.text_end[known] - out.text_start[known] == end - i:
+            same, at = True, out.text_start[known]
+            for k in range(end - i):
+                if d[at + k] != d[i + k]:
+                    same = False
+                    break
+            if same:
+                return known  # type: ignore[no-any-return]
+        slot = (slot + np.uint64(1)) & mask
+    number = size[_N_TEXTS]
+    size[_N_TEXTS] += 1
+    out.text_start[number], out.text_end[number], hashes[number] = i, end, h
+    if table[slot] < 0:
+        table[slot] = number
+    return number  # type: ignore[no-any-return]
+
+
+def _attributes(
+    d: Any, i: int, skip_id: bool, into: Any, first: int, out: Any, table: Any, hashes: Any, size: Any
+) -> tuple[int, int, int, int]:
+    """All attributes of a start tag, from after its name.
+
+    Returns (next, number of attributes kept, id start, id end); next stands on "/" or ">", or is -1.
+    """
+    count, id_start, id_end = 0, -1, -1
+    while True:
+        j = _space(d, i)
+        if d[j] == _GT or d[j] == _SLASH:
+            return j, count, id_start, id_end
+        end, value, value_end, after = _attribute(d, j)
+        if after < 0 or j == i or count >= MAX_ATTRIBUTES or _is(d, j, end, XMLNS):
+            return -1, 0, 0, 0
+        i = after
+        if skip_id and _is(d, j, end, ID):
+            if id_start >= 0:
+                return -1, 0, 0, 0
+            id_start, id_end = value, value_end
+            continue
+        name = _text(d, j, end, out, table, hashes, size)
+        for k in range(first, first + count):
+            if _is(d, j, end, d[out.text_start[into[k, 0]] : out.text_end[into[k, 0]]]):
+                return -1, 0, 0, 0
+        into[first + count, 0] = name
+        into[first + count, 1] = _text(d, value, value_end, out, table, hashes, size)
+        count += 1
+
+
+def _closed(d: Any, i: int) -> int:
+    """After "/>" at i, or -1."""
+    i = _space(d, i)
+    return i + 2 if d[i] == _SLASH and d[i + 1] == _GT else -1
+
+
+def _pair(d: Any, i: int, out: Any, table: Any, hashes: Any, size: Any) -> int:
+    """`k` and `v` of a tag, in any order; returns what follows the element, or -1."""
+    key, value = -1, -1
+    for _ in range(2):
+        j = _space(d, i)
+        end, start, stop, i = _attribute(d, j)
+        if i < 0 or end - j != 1 or (d[j - 1] > 32):
+            return -1
+        if d[j] == 107 and key < 0:
+            key = _text(d, start, stop, out, table, hashes, size)
+        elif d[j] == 118 and value < 0:
+            value = _text(d, start, stop, out, table, hashes, size)
+        else:
+            return -1
+    out.tag[size[_N_TAGS], 0] = key
+    out.tag[size[_N_TAGS], 1] = value
+    size[_N_TAGS] += 1
+    return _closed(d, i)  # type: ignore[no-any-return]
+
+
+def _item(d: Any, i: int, member: bool, out: Any, table: Any, hashes: Any, size: Any) -> int:
+    """`ref` of an nd, or `type`, `ref` and `role` of a member; returns what follows the element, or -1."""
+    seen_ref, ref, kind, role = False, np.int64(0), -1, -1
+    for _ in range(3 if member else 1):
+        j = _space(d, i)
+        end, start, stop, i = _attribute(d, j)
+        if i < 0 or d[j - 1] > 32:
+            return -1
+        if _is(d, j, end, REF) and not seen_ref:
+            seen_ref, ref = _integer(d, start, stop)
+            if not seen_ref:
+                return -1
+        elif member and _is(d, j, end, TYPE) and kind < 0:
+            kind = _text(d, start, stop, out, table, hashes, size)
+        elif member and _is(d, j, end, ROLE) and role < 0:
+            role = _text(d, start, stop, out, table, hashes, size)
+        else:
+            return -1
+    n = size[_N_ITEMS]
+    out.ref[n], out.member[n, 0], out.member[n, 1] = ref, kind, role
+    size[_N_ITEMS] += 1
+    return _closed(d, i)  # type: ignore[no-any-return]
+
+
+def _close_tag(d: Any, i: int, name: int, name_end: int) -> int:
+    """After the end tag "</name>" at i, or -1."""
+    end = _name(d, i + 2)
+    if d[i] != _LT or d[i + 1] != _SLASH or not _is(d, i + 2, end, d[name:name_end]):
+        return -1
+    end = _space(d, end)
+    return end + 1 if d[end] == _GT else -1
+
+
+def _children(d: Any, i: int, kind: int, out: Any, table: Any, hashes: Any, size: Any) -> int:
+    """All children of a node, way or relation; returns where its end tag stands, or -1."""
+    while True:
+        i = _space(d, i)
+        if d[i] != _LT:
+            return -1
+        if d[i + 1] == _SLASH:
+            return i
+        end = _name(d, i + 1)
+        if _is(d, i + 1, end, TAG):
+            i = _pair(d, end, out, table, hashes, size)
+        elif kind == WAY and _is(d, i + 1, end, ND):
+            i = _item(d, end, False, out, table, hashes, size)
+        elif kind == RELATION and _is(d, i + 1, end, MEMBER):
+            i = _item(d, end, True, out, table, hashes, size)
+        else:
+            return -1
+        if i < 0:
+            return -1
+
+
+def _plain_text(d: Any, i: int) -> int:
+    """End of text without markup, references or carriage returns; -1 where it is not plain."""
+    while d[i] != _LT:
+        if (d[i] < 32 and d[i] != 9 and d[i] != 10) or d[i] == _AND or d[i] == _BRACKET:
+            return -1
+        i += 1
+    return i
+
+
+def _element(d: Any, i: int, out: Any, table: Any, hashes: Any, size: Any) -> int:
+    """One top-level element, from its "<"; returns what follows it, or -1."""
+    start, name = i, i + 1
+    end = _name(d, name)
+    if end == name:
+        return -1
+    kind = OTHER
+    if _is(d, name, end, NODE_WORD):
+        kind = NODE
+    elif _is(d, name, end, WAY_WORD):
+        kind = WAY
+    elif _is(d, name, end, RELATION_WORD):
+        kind = RELATION
+    first = size[_N_ATTRIBUTES]
+    i, count, id_start, id_end = _attributes(d, end, kind != OTHER, out.attribute, first, out, table, hashes, size)
+    if i < 0:
+        return -1
+    good, number = True, np.int64(0)
+    if kind != OTHER:
+        size[_N_ATTRIBUTES] += count
+        good, number = _integer(d, id_start, id_end)
+        good = good and id_start >= 0
+    if not good:
+        return -1
+    if d[i] == _SLASH:
+        i = i + 2 if d[i + 1] == _GT else -1
+    else:
+        i = _plain_text(d, i + 1) if kind == OTHER else _children(d, i + 1, kind, out, table, hashes, size)
+        if i >= 0:
+            i = _close_tag(d, i, name, end)
+    n = size[_N_ELEMENTS]
+    out.kind[n], out.id[n], out.span[n, 0], out.span[n, 1] = kind, number, start, i
+    out.attribute_end[n], out.tag_end[n] = size[_N_ATTRIBUTES], size[_N_TAGS]
+    out.item_end[n] = size[_N_ITEMS]
+    size[_N_ELEMENTS] += 1
+    return i
+
+
+def _document(d: Any, i: int, out: Any, table: Any, hashes: Any, size: Any) -> bool:
+    """The root element and everything in it, to the end of the file."""
+    root, end = i + 1, _name(d, i + 1)
+    if d[i] != _LT or not _is(d, root, end, OSM):
+        return False
+    i, count, _, _ = _attributes(d, end, False, out.root, 0, out, table, hashes, size)
+    size[_N_ROOT] = count
+    if i < 0 or d[i] != _GT:
+        return False
+    i += 1
+    while True:
+        i = _space(d, i)
+        if d[i] != _LT:
+            return False
+        if d[i + 1] == _SLASH:
+            break
+        i = _element(d, i, out, table, hashes, size)
+        if i < 0:
+            return False
+    i = _close_tag(d, i, root, end)
+    return i > 0 and _space(d, i) == len(d) - 1

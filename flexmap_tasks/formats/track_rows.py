@@ -1,0 +1,39 @@
+"""What a reader of tracks hands on: numbers, times, and where each row stood in the file."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from flexmap_tasks.model.arrays import Floats, Ints, require
+
+FIX_COLUMNS = (
+    "lat_deg", "lon_deg", "alt_m", "var_east_m2", "var_north_m2", "var_up_m2", "covariance_type", "status",
+)  # fmt: skip
+"""Columns of a table of fixes; variances count only where covariance_type (sensor_msgs/NavSatFix) is not 0."""
+
+POSE_COLUMNS = ("x_m", "y_m", "z_m", "qx", "qy", "qz", "qw")
+"""Columns of a table of poses."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Rows:
+    """Rows as they were recorded, in the order of the file; no rule about their meaning was applied yet.
+
+    values : (n, k) float64, FIX_COLUMNS or POSE_COLUMNS
+    stamp_ns : (n,) int64 since the epoch, or None when the rows carry no time of their own
+    where : place of a row in the words of the user ("line 12", "topic /fix message 3")
+    form : what a good row looks like, for the end of an error message
+    """
+
+    values: Floats
+    stamp_ns: Ints | None
+    where: Callable[[int], str]
+    form: str
+
+    def __len__(self) -> int:
+        return len(self.values)
+
+    def __post_init__(self) -> None:
+        require(self.values.ndim == 2, "rows are a table")
+        require(self.stamp_ns is None or len(self.stamp_ns) == len(self.values), "stamps differ in length")
