@@ -63,8 +63,30 @@ class LaneletMapInput(Params):
 class PointCloudParams(Params):
     """How a point cloud is cut into tiles."""
 
-    tile_size_m: Positive = Field(20.0, description="edge of a tile, axis-parallel in the map frame")
-    voxel_size_m: NonNegative = Field(0.0, description="one point kept per voxel of this edge; 0 keeps all")
+    tile_size_m: Annotated[int, Field(ge=1, le=10_000)] = Field(
+        20,
+        description="edge of a tile, axis-parallel in the map frame; whole metres, as Autoware's loader wants",
+    )
+    voxel_size_m: Annotated[float, Field(ge=0, allow_inf_nan=False)] = Field(
+        0.0, description="one point kept per voxel of this edge, at least 0.001; 0 keeps all"
+    )
+    outlier_neighbours: Annotated[int, Field(ge=0, le=1000)] = Field(
+        0,
+        description="points whose mean distance to this many neighbours stands out are left out; 0 keeps all",
+    )
+    outlier_deviations: Positive = Field(
+        2.0, description="how many standard deviations over the tile's mean distance stand out"
+    )
+    viewpoint: Literal["refuse", "ignore"] = Field(
+        "refuse",
+        description="a PCD VIEWPOINT other than identity: an error, or known to say nothing about the points",
+    )
+
+    @model_validator(mode="after")
+    def _voxel_of_a_millimetre(self) -> PointCloudParams:
+        if 0 < self.voxel_size_m < 0.001:
+            raise ValueError("voxel_size_m must be 0 or at least 0.001")
+        return self
 
 
 class PointCloudInput(PointCloudParams):
@@ -153,7 +175,9 @@ class RubberSheetParams(Params):
 class AlignmentParams(Params):
     """How track, map and cloud come into the map frame."""
 
-    master: Literal["gnss", "slam"] = Field("gnss", description="the frame that stays; slam moves OSM instead")
+    master: Literal["gnss", "slam"] = Field(
+        "gnss", description="the frame that stays; slam moves OSM instead"
+    )
     method: Literal["rigid", "rubber_sheet"] = "rubber_sheet"
     control_points_file: Path | None = Field(None, description="CSV of pairs, see README")
     umeyama: UmeyamaParams = UmeyamaParams()
@@ -179,7 +203,9 @@ class MatchParams(Params):
 
     method: Literal["buffer_growing"] = "buffer_growing"
     segment_length_m: Positive = 5.0
-    reference_angle_max_deg: Positive = Field(30.0, description="a reference polyline ends at a sharper corner")
+    reference_angle_max_deg: Positive = Field(
+        30.0, description="a reference polyline ends at a sharper corner"
+    )
     buffer_half_width_m: Positive = 2.5
     buffer_overshoot_m: NonNegative = 3.0
     buffer_corner: Share = Field(0.5, description="how much of the buffer's corner is cut")
@@ -202,7 +228,10 @@ class TransferRule(Params):
 
     key: str = Field(description="OSM tag")
     target: str = Field(description="Lanelet2 attribute")
-    parser: Literal["text", "speed", "subtype", "location", "oneway"] = "text"
+    parser: Literal["text", "word", "speed", "subtype", "location", "oneway"] = "text"
+    policy: Literal["osm_wins", "fill_only", "review_conflicts"] = Field(
+        "osm_wins", description="when the map has another value: replace it, leave it, or ask a person"
+    )
 
 
 DEFAULT_RULES = (
@@ -210,19 +239,56 @@ DEFAULT_RULES = (
     TransferRule(key="highway", target="location", parser="location"),
     TransferRule(key="maxspeed", target="speed_limit", parser="speed"),
     TransferRule(key="name", target="road_name"),
-    TransferRule(key="surface", target="road_surface"),
+    TransferRule(key="surface", target="road_surface", parser="word"),
     TransferRule(key="oneway", target="one_way", parser="oneway"),
-    TransferRule(key="lane_markings", target="lane_markings"),
+    TransferRule(key="lane_markings", target="lane_markings", parser="word"),
 )
+
+HIGHWAY_SUBTYPES = {
+    "motorway": "highway", "motorway_link": "highway", "trunk": "highway", "trunk_link": "highway",
+    "primary": "road", "primary_link": "road", "secondary": "road", "secondary_link": "road",
+    "tertiary": "road", "tertiary_link": "road", "unclassified": "road", "residential": "road",
+    "service": "road", "road": "road", "track": "road", "living_street": "play_street",
+    "busway": "bus_lane", "cycleway": "bicycle_lane", "pedestrian": "walkway", "footway": "walkway",
+}  # fmt: skip
+
+ZONE_SPEEDS_KMH: dict[str, float | Literal["none"]] = {
+    "at:urban": 50, "at:rural": 100, "at:trunk": 100, "at:motorway": 130, "at:living_street": 7,
+    "be:urban": 50, "be:motorway": 120, "be:living_street": 20,
+    "ch:urban": 50, "ch:rural": 80, "ch:trunk": 100, "ch:motorway": 120, "ch:living_street": 20,
+    "cz:urban": 50, "cz:rural": 90, "cz:motorway": 130, "cz:living_street": 20,
+    "de:urban": 50, "de:rural": 100, "de:motorway": "none", "de:living_street": 7, "de:bicycle_road": 30,
+    "dk:urban": 50, "dk:rural": 80, "dk:motorway": 130,
+    "es:urban": 50, "es:rural": 90, "es:motorway": 120, "es:living_street": 20,
+    "fr:urban": 50, "fr:rural": 80, "fr:motorway": 130, "fr:living_street": 20,
+    "gb:nsl_single": 96.56, "gb:nsl_dual": 112.65, "gb:nsl_restricted": 48.28, "gb:motorway": 112.65,
+    "it:urban": 50, "it:rural": 90, "it:trunk": 110, "it:motorway": 130,
+    "nl:urban": 50, "nl:rural": 80, "nl:trunk": 100, "nl:living_street": 15,
+    "pl:urban": 50, "pl:rural": 90, "pl:motorway": 140, "pl:living_street": 20,
+    "se:urban": 50, "se:rural": 70, "se:motorway": 110, "se:living_street": 7,
+}  # fmt: skip
+"""Limits that OSM names by country and zone, in lower case."""
 
 
 class TransferParams(Params):
     """What OSM's tags become on the lanelets."""
 
     rules: tuple[TransferRule, ...] = DEFAULT_RULES
+    highway_subtypes: dict[str, str] = Field(HIGHWAY_SUBTYPES, description="OSM highway to Lanelet2 subtype")
+    zone_speeds_kmh: dict[str, float | Literal["none"]] = Field(
+        ZONE_SPEEDS_KMH, description="limit behind a maxspeed code such as DE:urban; codes in lower case"
+    )
+    no_limit_kmh: Positive | None = Field(None, description="written for maxspeed=none; review when empty")
+    confidence_min: Share = Field(0.5, description="a match less certain than this changes nothing")
+    coverage_min: Share = Field(0.5, description="share of a lanelet that a value must hold for")
     split: bool = Field(True, description="cut lanelets where a transferred value changes")
-    split_end_distance_m: NonNegative = Field(3.0, description="no cut nearer to an end than this")
+    split_end_distance_m: Positive = Field(3.0, description="no cut nearer to an end than this")
     split_snap_m: NonNegative = Field(1.0, description="cut at an existing vertex when one is this near")
+    split_stretch_m: NonNegative = Field(5.0, description="a value that holds for less is not worth a cut")
+    split_gap_m: Positive = Field(20.0, description="an unmatched end longer than this is cut off")
+    split_closed: bool = Field(
+        False, description="also cut carriageways with lanelets closed to cars, such as bicycle lanes"
+    )
     remove_fragments: bool = Field(False, description="delete unconnected lanelets beyond OSM's lane count")
 
 

@@ -85,7 +85,7 @@ def _why(store: Store, node: Node, image: Mapping[str, Any], last_key: str | Non
 
 def differences(old: Mapping[str, Any], new: Mapping[str, Any], node: Node | None = None) -> list[str]:
     """What differs between two preimages, one phrase each."""
-    found = []
+    found: list[str] = []
     for part in ("inputs", "params", "code", "libraries"):
         before, now = _flat(old.get(part, {})), _flat(new.get(part, {}))
         changed = (n for n in sorted(before.keys() | now.keys()) if before.get(n) != now.get(n))

@@ -100,7 +100,7 @@ class Cursor:
         length = self.numbers("u4")[:, 0].astype(np.int64)
         start = self._at
         self._advance(length)
-        whole = memoryview(self._data)
+        whole = self._data.data
         bounds = zip(start.tolist(), self._at.tolist(), strict=True)
         return [bytes(whole[a:b]).rstrip(b"\0") for a, b in bounds]
 

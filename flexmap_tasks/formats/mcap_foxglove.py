@@ -71,8 +71,18 @@ def _each(
 def _guarded(number: int, raw: bytes, fields: Fields, use: Callable[[dict[str, Any]], Any]) -> Any:
     try:
         return use(fields(raw))
-    except (DecodeError, ValueError, TypeError, KeyError, AttributeError, OverflowError, RecursionError) as error:
-        raise CdrError(number, f"the message does not fit its schema ({type(error).__name__}: {error})") from error
+    except (
+        DecodeError,
+        ValueError,
+        TypeError,
+        KeyError,
+        AttributeError,
+        OverflowError,
+        RecursionError,
+    ) as error:
+        raise CdrError(
+            number, f"the message does not fit its schema ({type(error).__name__}: {error})"
+        ) from error
 
 
 def _location_fix(message: dict[str, Any]) -> tuple[float, ...]:
@@ -113,7 +123,9 @@ def _protobuf_fields(schema: Schema) -> Fields:
         pool = descriptor_pool.DescriptorPool()
         waiting = {file.name: file for file in files.file}
         while waiting:
-            ready = [f for f in waiting.values() if not any(d in waiting for d in f.dependency if d != f.name)]
+            ready = [
+                f for f in waiting.values() if not any(d in waiting for d in f.dependency if d != f.name)
+            ]
             if not ready:
                 raise SchemaError("its files depend on each other in a circle")
             for file in ready:

@@ -8,12 +8,13 @@ the same to the full parser.
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar, cast
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+Ints = NDArray[np.int64]
 NODE, WAY, RELATION, OTHER = 0, 1, 2, 3
 PROBES = 64
 """A text not found in so many steps counts as new: hostile texts that collide cost no more than that."""
@@ -22,27 +23,60 @@ MAX_ATTRIBUTES = 32
 
 
 class Scan(NamedTuple):
-    """What stands in a document. Texts are numbers into `text_start`, `text_end` (byte spans).
+    """What stands in a document. Texts are numbers of rows of `text`.
 
-    kind, id : per top-level element; attribute_end, tag_end, item_end : ends of its share of the flat columns
-    span : (n, 2) bytes of the elements of kind OTHER
-    attribute, tag : (m, 2) name and value; ref : of `nd` and `member` alike; member : (m, 2) type and role, or -1
+    element : (n, 7) int64 per top-level element: kind, id, where its attributes, tags and items end in the flat
+        arrays, and its first byte and the byte after it
+    attribute, tag : (m, 2) name and value; item : (i, 3) int64, of `nd` and `member` alike: ref, type, role
     root : (r, 2) attributes of the root element
+    text : (x, 3) int64, byte span and hash
     """
 
-    kind: NDArray[np.int8]
-    id: NDArray[np.int64]
-    attribute_end: NDArray[np.int64]
-    tag_end: NDArray[np.int64]
-    item_end: NDArray[np.int64]
-    span: NDArray[np.int64]
+    element: Ints
     attribute: NDArray[np.int32]
     tag: NDArray[np.int32]
-    ref: NDArray[np.int64]
-    member: NDArray[np.int32]
+    item: Ints
     root: NDArray[np.int32]
-    text_start: NDArray[np.int64]
-    text_end: NDArray[np.int64]
+    text: Ints
+
+
+def scan(data: NDArray[np.uint8], start: int) -> Scan | None:
+    """Scan from the root element at `start` to the end; None where the plain form ends.
+
+    data : (n,) uint8, the file and a final zero byte
+    """
+    # The smallest element is <a/>, the smallest attribute ' a=""': memory is bounded by the bytes there are.
+    elements = min(int(np.count_nonzero(data == ord("<"))), len(data) // 4 + 1)
+    attributes = min(int(np.count_nonzero(data == ord("="))), len(data) // 5 + 1)
+    table = np.full(1 << max(10, int(3 * attributes).bit_length()), -1, dtype=np.int32)
+    out = Scan(
+        element=np.empty((elements, 7), dtype=np.int64),
+        attribute=np.empty((attributes, 2), dtype=np.int32),
+        tag=np.empty((attributes, 2), dtype=np.int32),
+        item=np.empty((attributes, 3), dtype=np.int64),
+        root=np.empty((MAX_ATTRIBUTES, 2), dtype=np.int32),
+        text=np.empty((2 * attributes, 3), dtype=np.int64),
+    )
+    size = np.zeros(len(out), dtype=np.int64)
+    if not _document(data, start, out, table, size):
+        return None
+    return Scan(*(column[:n] for column, n in zip(out, size.tolist(), strict=True)))
+
+
+_ELEMENTS, _ATTRIBUTES, _TAGS, _ITEMS, _ROOT_ATTRIBUTES, _TEXTS = range(6)
+_LT, _GT, _SLASH, _EQUALS, _QUOTE, _APOSTROPHE, _AND, _BRACKET = (ord(c) for c in "<>/=\"'&]")
+_K, _V = ord("k"), ord("v")
+_LARGEST = 2**63 - 1
+_OSM, _NODE, _WAY, _RELATION = b"osm", b"node", b"way", b"relation"
+_TAG, _ND, _MEMBER = b"tag", b"nd", b"member"
+_ID, _REF, _TYPE, _ROLE, _XMLNS = b"id", b"ref", b"type", b"role", b"xmlns"
+
+F = TypeVar("F", bound=Callable[..., Any])
+
+
+def _compiled(function: F) -> F:
+    """Compile for the machine; kept beside the module."""
+    return cast("F", njit(cache=True)(function))
 
 
 def scan(data: NDArray[np.uint8], start: int) -> Scan | None:
@@ -81,14 +115,12 @@ def scan(data: NDArray[np.uint8], start: int) -> Scan | None:
     )  # fmt: skip
 
 
-_N_ELEMENTS, _N_ATTRIBUTES, _N_TAGS, _N_ITEMS, _N_ROOT, _N_TEXTS = range(6)
-_LT, _GT, _SLASH, _EQUALS, _QUOTE, _APOSTROPHE, _AND, _BRACKET = (ord(c) for c in "<>/=\"'&]")
-
-
+@_compiled
 def _is_name(c: int) -> bool:
     return 97 <= c <= 122 or 65 <= c <= 90 or c == 95 or 48 <= c <= 57 or c == 45 or c == 46
 
 
+@_compiled
 def _name(d: Any, i: int) -> int:
     """End of the plain name at i; i itself where there is none."""
     c = d[i]
@@ -99,12 +131,14 @@ def _name(d: Any, i: int) -> int:
     return i
 
 
+@_compiled
 def _space(d: Any, i: int) -> int:
     while d[i] == 32 or d[i] == 10 or d[i] == 9 or d[i] == 13:
         i += 1
     return i
 
 
+@_compiled
 def _attribute(d: Any, i: int) -> tuple[int, int, int, int]:
     """Name and value at i as (name end, value start, value end, next); next is -1 where it is not plain."""
     end = _name(d, i)
@@ -125,6 +159,7 @@ def _attribute(d: Any, i: int) -> tuple[int, int, int, int]:
     return end, value, j, j + 1
 
 
+@_compiled
 def _is(d: Any, i: int, end: int, word: Any) -> bool:
     if end - i != len(word):
         return False
@@ -134,54 +169,64 @@ def _is(d: Any, i: int, end: int, word: Any) -> bool:
     return True
 
 
+@_compiled
 def _integer(d: Any, i: int, end: int) -> tuple[bool, int]:
-    """A plain integer of at most 18 digits."""
+    """A plain integer of 64 bits (its lowest value left out)."""
     negative = d[i] == 45
     if negative:
         i += 1
     value = np.int64(0)
-    if end <= i or end - i > 18:
+    if end <= i or end - i > 19:
         return False, value
     while i < end:
         digit = np.int64(d[i]) - 48
-        if digit < 0 or digit > 9:
+        if digit < 0 or digit > 9 or value > (_LARGEST - digit) // 10:
             return False, value
         value = value * 10 + digit
         i += 1
     return True, -value if negative else value
 
 
-def _text(d: Any, i: int, end: int, out: Any, table: Any, hashes: Any, size: Any) -> int:
+@_compiled
+def _same(d: Any, i: int, end: int, j: int, j_end: int) -> bool:
+    if end - i != j_end - j:
+        return False
+    for k in range(end - i):
+        if d[i + k] != d[j + k]:
+            return False
+    return True
+
+
+@_compiled
+def _text(d: Any, i: int, end: int, text: Any, table: Any, size: Any) -> int:
     """Number of a text; equal texts get the same number as a rule."""
     h = np.uint64(14695981039346656037)
     for k in range(i, end):
         h = (h ^ np.uint64(d[k])) * np.uint64(1099511628211)
-    mask = np.uint64(len(table) - 1)
-    slot = (h ^ (h >> np.uint64(32))) & mask
+    h ^= h >> np.uint64(32)
+    tag = np.int64(h >> np.uint64(1))
+    mask = len(table) - 1
+    slot = tag & mask
     for _ in range(PROBES):
         known = table[slot]
-        if known < 0:
+        if known < 0 or (text[known, 2] == tag and _same(d, i, end, text[known, 0], text[known, 1])):
             break
-        if hashes[known] == h and out.text_end[known] - out.text_start[known] == end - i:
-            same, at = True, out.text_start[known]
-            for k in range(end - i):
-                if d[at + k] != d[i + k]:
-                    same = False
-                    break
-            if same:
-                return known  # type: ignore[no-any-return]
-        slot = (slot + np.uint64(1)) & mask
-    number = size[_N_TEXTS]
-    size[_N_TEXTS] += 1
-    out.text_start[number], out.text_end[number], hashes[number] = i, end, h
-    if table[slot] < 0:
+        slot = (slot + 1) & mask
+    known = table[slot]
+    if known >= 0 and text[known, 2] == tag and _same(d, i, end, text[known, 0], text[known, 1]):
+        return np.int64(known)
+    number = size[_TEXTS]
+    size[_TEXTS] += 1
+    text[number, 0], text[number, 1], text[number, 2] = i, end, tag
+    if known < 0:
         table[slot] = number
-    return number  # type: ignore[no-any-return]
+    return number
 
 
+@_compiled
 def _attributes(
-    d: Any, i: int, skip_id: bool, into: Any, first: int, out: Any, table: Any, hashes: Any, size: Any
-) -> tuple[int, int, int, int]:
+    d: Any, i: int, skip_id: bool, into: Any, first: int, text: Any, table: Any, size: Any
+) -> Any:
     """All attributes of a start tag, from after its name.
 
     Returns (next, number of attributes kept, id start, id end); next stands on "/" or ">", or is -1.
@@ -192,50 +237,53 @@ def _attributes(
         if d[j] == _GT or d[j] == _SLASH:
             return j, count, id_start, id_end
         end, value, value_end, after = _attribute(d, j)
-        if after < 0 or j == i or count >= MAX_ATTRIBUTES or _is(d, j, end, XMLNS):
+        if after < 0 or j == i or count >= MAX_ATTRIBUTES or _is(d, j, end, _XMLNS):
             return -1, 0, 0, 0
         i = after
-        if skip_id and _is(d, j, end, ID):
+        if skip_id and _is(d, j, end, _ID):
             if id_start >= 0:
                 return -1, 0, 0, 0
             id_start, id_end = value, value_end
             continue
-        name = _text(d, j, end, out, table, hashes, size)
+        name = _text(d, j, end, text, table, size)
         for k in range(first, first + count):
-            if _is(d, j, end, d[out.text_start[into[k, 0]] : out.text_end[into[k, 0]]]):
+            if _same(d, j, end, text[into[k, 0], 0], text[into[k, 0], 1]):
                 return -1, 0, 0, 0
         into[first + count, 0] = name
-        into[first + count, 1] = _text(d, value, value_end, out, table, hashes, size)
+        into[first + count, 1] = _text(d, value, value_end, text, table, size)
         count += 1
 
 
+@_compiled
 def _closed(d: Any, i: int) -> int:
     """After "/>" at i, or -1."""
     i = _space(d, i)
     return i + 2 if d[i] == _SLASH and d[i + 1] == _GT else -1
 
 
-def _pair(d: Any, i: int, out: Any, table: Any, hashes: Any, size: Any) -> int:
+@_compiled
+def _pair(d: Any, i: int, tag: Any, text: Any, table: Any, size: Any) -> int:
     """`k` and `v` of a tag, in any order; returns what follows the element, or -1."""
     key, value = -1, -1
     for _ in range(2):
         j = _space(d, i)
         end, start, stop, i = _attribute(d, j)
-        if i < 0 or end - j != 1 or (d[j - 1] > 32):
+        if i < 0 or end - j != 1 or d[j - 1] > 32:
             return -1
-        if d[j] == 107 and key < 0:
-            key = _text(d, start, stop, out, table, hashes, size)
-        elif d[j] == 118 and value < 0:
-            value = _text(d, start, stop, out, table, hashes, size)
+        if d[j] == _K and key < 0:
+            key = _text(d, start, stop, text, table, size)
+        elif d[j] == _V and value < 0:
+            value = _text(d, start, stop, text, table, size)
         else:
             return -1
-    out.tag[size[_N_TAGS], 0] = key
-    out.tag[size[_N_TAGS], 1] = value
-    size[_N_TAGS] += 1
-    return _closed(d, i)  # type: ignore[no-any-return]
+    n = size[_TAGS]
+    tag[n, 0], tag[n, 1] = key, value
+    size[_TAGS] += 1
+    return _closed(d, i)
 
 
-def _item(d: Any, i: int, member: bool, out: Any, table: Any, hashes: Any, size: Any) -> int:
+@_compiled
+def _item(d: Any, i: int, member: bool, item: Any, text: Any, table: Any, size: Any) -> int:
     """`ref` of an nd, or `type`, `ref` and `role` of a member; returns what follows the element, or -1."""
     seen_ref, ref, kind, role = False, np.int64(0), -1, -1
     for _ in range(3 if member else 1):
@@ -243,33 +291,38 @@ def _item(d: Any, i: int, member: bool, out: Any, table: Any, hashes: Any, size:
         end, start, stop, i = _attribute(d, j)
         if i < 0 or d[j - 1] > 32:
             return -1
-        if _is(d, j, end, REF) and not seen_ref:
+        if _is(d, j, end, _REF) and not seen_ref:
             seen_ref, ref = _integer(d, start, stop)
             if not seen_ref:
                 return -1
-        elif member and _is(d, j, end, TYPE) and kind < 0:
-            kind = _text(d, start, stop, out, table, hashes, size)
-        elif member and _is(d, j, end, ROLE) and role < 0:
-            role = _text(d, start, stop, out, table, hashes, size)
+        elif member and _is(d, j, end, _TYPE) and kind < 0:
+            kind = _text(d, start, stop, text, table, size)
+        elif member and _is(d, j, end, _ROLE) and role < 0:
+            role = _text(d, start, stop, text, table, size)
         else:
             return -1
-    n = size[_N_ITEMS]
-    out.ref[n], out.member[n, 0], out.member[n, 1] = ref, kind, role
-    size[_N_ITEMS] += 1
-    return _closed(d, i)  # type: ignore[no-any-return]
+    n = size[_ITEMS]
+    item[n, 0], item[n, 1], item[n, 2] = ref, kind, role
+    size[_ITEMS] += 1
+    return _closed(d, i)
 
 
+@_compiled
 def _close_tag(d: Any, i: int, name: int, name_end: int) -> int:
-    """After the end tag "</name>" at i, or -1."""
+    """What follows the end tag "</name>" at the "<" at i, or -1."""
+    if d[i + 1] != _SLASH:
+        return -1
     end = _name(d, i + 2)
-    if d[i] != _LT or d[i + 1] != _SLASH or not _is(d, i + 2, end, d[name:name_end]):
+    if not _same(d, i + 2, end, name, name_end):
         return -1
     end = _space(d, end)
     return end + 1 if d[end] == _GT else -1
 
 
-def _children(d: Any, i: int, kind: int, out: Any, table: Any, hashes: Any, size: Any) -> int:
+@_compiled
+def _children(d: Any, i: int, kind: int, out: Any, table: Any, size: Any) -> int:
     """All children of a node, way or relation; returns where its end tag stands, or -1."""
+    tag, item, text = out.tag, out.item, out.text
     while True:
         i = _space(d, i)
         if d[i] != _LT:
@@ -277,18 +330,19 @@ def _children(d: Any, i: int, kind: int, out: Any, table: Any, hashes: Any, size
         if d[i + 1] == _SLASH:
             return i
         end = _name(d, i + 1)
-        if _is(d, i + 1, end, TAG):
-            i = _pair(d, end, out, table, hashes, size)
-        elif kind == WAY and _is(d, i + 1, end, ND):
-            i = _item(d, end, False, out, table, hashes, size)
-        elif kind == RELATION and _is(d, i + 1, end, MEMBER):
-            i = _item(d, end, True, out, table, hashes, size)
+        if _is(d, i + 1, end, _TAG):
+            i = _pair(d, end, tag, text, table, size)
+        elif kind == WAY and _is(d, i + 1, end, _ND):
+            i = _item(d, end, False, item, text, table, size)
+        elif kind == RELATION and _is(d, i + 1, end, _MEMBER):
+            i = _item(d, end, True, item, text, table, size)
         else:
             return -1
         if i < 0:
             return -1
 
 
+@_compiled
 def _plain_text(d: Any, i: int) -> int:
     """End of text without markup, references or carriage returns; -1 where it is not plain."""
     while d[i] != _LT:
@@ -298,51 +352,56 @@ def _plain_text(d: Any, i: int) -> int:
     return i
 
 
-def _element(d: Any, i: int, out: Any, table: Any, hashes: Any, size: Any) -> int:
+@_compiled
+def _kind(d: Any, name: int, end: int) -> int:
+    if _is(d, name, end, _NODE):
+        return NODE
+    if _is(d, name, end, _WAY):
+        return WAY
+    return RELATION if _is(d, name, end, _RELATION) else OTHER
+
+
+@_compiled
+def _element(d: Any, i: int, out: Any, table: Any, size: Any) -> int:
     """One top-level element, from its "<"; returns what follows it, or -1."""
     start, name = i, i + 1
     end = _name(d, name)
     if end == name:
         return -1
-    kind = OTHER
-    if _is(d, name, end, NODE_WORD):
-        kind = NODE
-    elif _is(d, name, end, WAY_WORD):
-        kind = WAY
-    elif _is(d, name, end, RELATION_WORD):
-        kind = RELATION
-    first = size[_N_ATTRIBUTES]
-    i, count, id_start, id_end = _attributes(d, end, kind != OTHER, out.attribute, first, out, table, hashes, size)
-    if i < 0:
-        return -1
-    good, number = True, np.int64(0)
-    if kind != OTHER:
-        size[_N_ATTRIBUTES] += count
+    kind = _kind(d, name, end)
+    plain = kind != OTHER
+    first = size[_ATTRIBUTES]
+    i, count, id_start, id_end = _attributes(d, end, plain, out.attribute, first, out.text, table, size)
+    number = np.int64(0)
+    if plain and i >= 0:
+        size[_ATTRIBUTES] += count
         good, number = _integer(d, id_start, id_end)
-        good = good and id_start >= 0
-    if not good:
+        if id_start < 0 or not good:
+            return -1
+    if i < 0:
         return -1
     if d[i] == _SLASH:
         i = i + 2 if d[i + 1] == _GT else -1
     else:
-        i = _plain_text(d, i + 1) if kind == OTHER else _children(d, i + 1, kind, out, table, hashes, size)
+        i = _children(d, i + 1, kind, out, table, size) if plain else _plain_text(d, i + 1)
         if i >= 0:
             i = _close_tag(d, i, name, end)
-    n = size[_N_ELEMENTS]
-    out.kind[n], out.id[n], out.span[n, 0], out.span[n, 1] = kind, number, start, i
-    out.attribute_end[n], out.tag_end[n] = size[_N_ATTRIBUTES], size[_N_TAGS]
-    out.item_end[n] = size[_N_ITEMS]
-    size[_N_ELEMENTS] += 1
+    n = size[_ELEMENTS]
+    row = out.element[n]
+    row[0], row[1], row[5], row[6] = kind, number, start, i
+    row[2], row[3], row[4] = size[_ATTRIBUTES], size[_TAGS], size[_ITEMS]
+    size[_ELEMENTS] += 1
     return i
 
 
-def _document(d: Any, i: int, out: Any, table: Any, hashes: Any, size: Any) -> bool:
+@_compiled
+def _document(d: Any, i: int, out: Any, table: Any, size: Any) -> bool:
     """The root element and everything in it, to the end of the file."""
     root, end = i + 1, _name(d, i + 1)
-    if d[i] != _LT or not _is(d, root, end, OSM):
+    if d[i] != _LT or not _is(d, root, end, _OSM):
         return False
-    i, count, _, _ = _attributes(d, end, False, out.root, 0, out, table, hashes, size)
-    size[_N_ROOT] = count
+    i, count, _, _ = _attributes(d, end, False, out.root, 0, out.text, table, size)
+    size[_ROOT_ATTRIBUTES] = count
     if i < 0 or d[i] != _GT:
         return False
     i += 1
@@ -352,7 +411,7 @@ def _document(d: Any, i: int, out: Any, table: Any, hashes: Any, size: Any) -> b
             return False
         if d[i + 1] == _SLASH:
             break
-        i = _element(d, i, out, table, hashes, size)
+        i = _element(d, i, out, table, size)
         if i < 0:
             return False
     i = _close_tag(d, i, root, end)

@@ -71,9 +71,13 @@ class PcdReader:
     def _expect_bytes(self, found: int, needed: int, what: str) -> None:
         """`found` must reach `needed`, and may not go on for another whole point."""
         if found < needed:
-            raise InputError(self.source.name, f"{what} needs {needed} bytes, the file has {found}; it is cut off")
+            raise InputError(
+                self.source.name, f"{what} needs {needed} bytes, the file has {found}; it is cut off"
+            )
         if found >= needed + self.header.point_bytes:
-            raise InputError(self.source.name, f"{what} needs {needed} bytes, the file has {found}; mend POINTS")
+            raise InputError(
+                self.source.name, f"{what} needs {needed} bytes, the file has {found}; mend POINTS"
+            )
 
     def _binary(self, file: BinaryIO) -> Iterator[Records]:
         record, points = self.header.record_type(), self.header.points
@@ -159,7 +163,8 @@ def pcd_bytes(cloud: PointCloud) -> bytes:
     """
     columns = {"x": cloud.xyz_m[:, 0], "y": cloud.xyz_m[:, 1], "z": cloud.xyz_m[:, 2], **cloud.fields}
     types = [
-        (n, np.dtype("<f4") if n in "xyz" else v.dtype.newbyteorder("<"), v.shape[1:]) for n, v in columns.items()
+        (n, np.dtype("<f4") if n in "xyz" else v.dtype.newbyteorder("<"), v.shape[1:])
+        for n, v in columns.items()
     ]
     records = np.empty(len(cloud), np.dtype(types))
     for name, values in columns.items():

@@ -24,7 +24,11 @@ _WHITE = bytes.maketrans(b"\t\r\v\f", b"    ")
 def ascii_type(header: PcdHeader) -> np.dtype[Any]:
     """Type of the records of an ASCII file: packed, coordinates in float64."""
     return np.dtype(
-        [(f.name, "<f8" if f.name in ("x", "y", "z") else f.dtype, f.shape) for f in header.fields if not f.padding]
+        [
+            (f.name, "<f8" if f.name in ("x", "y", "z") else f.dtype, f.shape)
+            for f in header.fields
+            if not f.padding
+        ]
     )
 
 
@@ -40,7 +44,9 @@ def ascii_records(file: BinaryIO, header: PcdHeader, source: Source) -> Iterator
         if len(block):
             yield block
     if done < header.points:
-        raise InputError(source.name, f"POINTS says {header.points}, but only {done} follow; the file is cut off")
+        raise InputError(
+            source.name, f"POINTS says {header.points}, but only {done} follow; the file is cut off"
+        )
 
 
 def _whole_lines(file: BinaryIO, header: PcdHeader, source: Source, line: int) -> Iterator[bytes]:
@@ -69,7 +75,9 @@ def _parse(text: bytes, header: PcdHeader, source: Source, first_line: int) -> N
             pa.BufferReader(clean),
             read_options=pc.ReadOptions(column_names=list(columns), block_size=len(clean) + 1),
             parse_options=pc.ParseOptions(delimiter=" ", quote_char=False, escape_char=False),
-            convert_options=pc.ConvertOptions(column_types=columns, null_values=[], strings_can_be_null=False),
+            convert_options=pc.ConvertOptions(
+                column_types=columns, null_values=[], strings_can_be_null=False
+            ),
         )
     except pa.ArrowInvalid as error:
         raise _diagnose(text, header, source, first_line, str(error)) from None
@@ -112,8 +120,12 @@ def _diagnose(text: bytes, header: PcdHeader, source: Source, first_line: int, r
             wrong = None if field.padding else _wrong(word, field.dtype)
             if wrong:
                 shown = word[:40].decode("latin-1")
-                return InputError(source.name, f"field {field.name}: {wrong}, got {shown!r}", f"line {number}")
-    return InputError(source.name, f"the points cannot be read: {reason.splitlines()[0][:200]}", f"line {first_line}")
+                return InputError(
+                    source.name, f"field {field.name}: {wrong}, got {shown!r}", f"line {number}"
+                )
+    return InputError(
+        source.name, f"the points cannot be read: {reason.splitlines()[0][:200]}", f"line {first_line}"
+    )
 
 
 def _wrong(word: bytes, dtype: np.dtype[Any]) -> str | None:

@@ -94,7 +94,9 @@ def read_header(file: BinaryIO, source: Source) -> PcdHeader:
             continue
         key = "FIELDS" if words[0] == "COLUMNS" else words[0]
         if key not in _KEYS:
-            raise InputError(source.name, f"expected a PCD header line, got {words[0][:40]!r}", f"line {lines}")
+            raise InputError(
+                source.name, f"expected a PCD header line, got {words[0][:40]!r}", f"line {lines}"
+            )
         if key in entries:
             raise InputError(source.name, f"{key} stands twice in the PCD header", f"line {lines}")
         entries[key] = (lines, words[1:])
@@ -125,7 +127,9 @@ class _Entries:
 
     def header(self, data_start: int, lines: int) -> PcdHeader:
         if "VERSION" in self.entries and self._words("VERSION", 1)[0] not in _VERSIONS:
-            raise self._error("VERSION", f"expected PCD version 0.7, got {self._words('VERSION', 1)[0][:40]!r}")
+            raise self._error(
+                "VERSION", f"expected PCD version 0.7, got {self._words('VERSION', 1)[0][:40]!r}"
+            )
         fields = self._fields()
         encoding = self._words("DATA", 1)[0].lower()
         if encoding not in ENCODINGS:
@@ -141,7 +145,9 @@ class _Entries:
             raise self._error(key, f"the PCD header has no {key} line")
         words = self.entries[key][1]
         if count is not None and len(words) != count:
-            raise self._error(key, f"{key} needs {count} value(s), one per field where there are fields; got {len(words)}")
+            raise self._error(
+                key, f"{key} needs {count} value(s), one per field where there are fields; got {len(words)}"
+            )
         return words
 
     def _ints(self, key: str, count: int) -> list[int]:
@@ -180,7 +186,9 @@ class _Entries:
             raise self._error("FIELDS", f"a point needs the fields x, y and z; missing: {', '.join(missing)}")
         bad = [a for a, f in axes.items() if f.dtype.kind != "f" or f.count != 1]
         if bad:
-            raise self._error("TYPE", f"x, y and z must be one F of 4 or 8 bytes each; not so: {', '.join(bad)}")
+            raise self._error(
+                "TYPE", f"x, y and z must be one F of 4 or 8 bytes each; not so: {', '.join(bad)}"
+            )
 
     def _points(self) -> int:
         area = None

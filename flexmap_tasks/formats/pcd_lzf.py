@@ -27,10 +27,10 @@ _BYTES_IN = nb.types.Array(nb.uint8, 1, "C", readonly=True)
 
 
 @nb.njit(nb.int64(_BYTES_IN, nb.uint8[::1]), cache=True)  # type: ignore[untyped-decorator, unused-ignore]
-def lzf_decode(packed: NDArray[np.uint8], out: NDArray[Any]) -> int:
+def lzf_decode(packed: NDArray[np.uint8], out: NDArray[np.uint8]) -> int:  # noqa: PLR0911 - one return per fault
     """Unpack into `out`; the number of bytes made, or one of the negative REASONS."""
-    i = 0
-    o = 0
+    i: Any = 0
+    o: Any = 0
     while i < packed.size:
         control = np.int64(packed[i])
         i += 1
@@ -62,4 +62,4 @@ def lzf_decode(packed: NDArray[np.uint8], out: NDArray[Any]) -> int:
         for k in range(size):  # byte by byte: the source may overlap what is being written
             out[o + k] = out[start + k]
         o += size
-    return o
+    return int(o)

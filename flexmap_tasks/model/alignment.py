@@ -188,7 +188,9 @@ class Warp:
         keep = kernels.touching(moving[sheet.triangles], corners[0], corners[2])
         triangles = sheet.triangles[keep]
         rows = np.unique(triangles)
-        outside = sheet.outside_shift_m if _leaves(corners, moving) else np.zeros(2)
+        mesh = _mesh(self, 1)
+        leaves = (kernels.locate(mesh, np.column_stack([corners, np.zeros(4)])) == len(sheet.triangles)).any()
+        outside = sheet.outside_shift_m if leaves else np.zeros(2)
         return Warp(
             motion,
             RubberSheet(
@@ -197,10 +199,20 @@ class Warp:
         )
 
 
-def _leaves(corners: Floats, vertices: Floats) -> bool:
-    """Whether a box may reach out of the mesh: cautious, by a centre and the nearest of the hull's edges."""
-    hull = vertices[_hull(vertices)]
-    edge = np.roll(hull, -1, axis=0) - hull
-    offset = corners[:, None] - hull
-    side = edge[:, 0] * offset[..., 1] - edge[:, 1] * offset[..., 0]
-    return bool((side <= 1e-3 * np.hypot(edge[:, 0], edge[:, 1])).any())
+@lru_cache(maxsize=8)
+def _mesh_of_size(warp: Warp, points: int) -> kernels.Mesh:
+    back = warp.motion.inverse()
+    outside = np.column_stack([warp.motion.linear, warp.motion.translation_m])
+    if warp.sheet is None:
+        none = np.empty((0, 2))
+        return kernels.build_mesh(none, none, np.empty((0, 3), np.int64), outside, points)
+    sheet = warp.sheet
+    outside[:, 2] += sheet.outside_shift_m
+    return kernels.build_mesh(
+        back.apply_xy(sheet.source_xy_m), sheet.target_xy_m, sheet.triangles, outside, points
+    )
+
+
+def _mesh(warp: Warp, points: int) -> kernels.Mesh:
+    """The whole warp as a mesh in the moving frame, remembered by the order of magnitude of `points`."""
+    return _mesh_of_size(warp, 1 << min((max(points, 1) - 1).bit_length() | 3, 23))

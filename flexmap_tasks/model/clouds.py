@@ -6,24 +6,15 @@ ix = floor(x / size), iy = floor(y / size).
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
 from numpy.typing import NDArray
 
-from flexmap_tasks.model.arrays import Floats, Ints, Strings, require
+from flexmap_tasks.model.arrays import Floats, Ints, Strings, require, strings
 from flexmap_tasks.model.maps import Findings
-
-
-@dataclass(frozen=True, slots=True)
-class Extent:
-    """An axis-parallel box in the plane, metres."""
-
-    x_min_m: float
-    y_min_m: float
-    x_max_m: float
-    y_max_m: float
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -93,3 +84,20 @@ class TileKeys:
     """
 
     key: Strings
+
+
+def tile_key(ix: int, iy: int) -> str:
+    """Key of a tile: (-3, 5) gives "-3_5"."""
+    return f"{ix}_{iy}"
+
+
+def tile_numbers(key: str) -> tuple[int, int]:
+    """(ix, iy) of a key; the order of tiles is the order of these."""
+    ix, iy = key.split("_")
+    return int(ix), int(iy)
+
+
+def cloud_findings(rows: Sequence[tuple[str, str, str]]) -> Findings:
+    """Findings about a cloud as a whole; each row is (code, severity, message)."""
+    code, severity, message = (strings(r[i] for r in rows) for i in range(3))
+    return Findings(code, severity, strings(["cloud"] * len(rows)), np.zeros(len(rows), np.int64), message)

@@ -12,6 +12,15 @@ from flexmap_tasks.model.projection import Projection
 STATUS_UNKNOWN = -2
 """No status was given (text files); the others are sensor_msgs/NavSatStatus: -1 none, 0 fix, 1 SBAS, 2 GBAS."""
 
+STATUS_NONE = -1
+"""The receiver had no fix; such a row may lack its position."""
+
+
+def rows_in_time_order(stamp_ns: Ints) -> Ints:
+    """Rows sorted by stamp; of rows with exactly the same stamp only the first one in the recording."""
+    _, first = np.unique(stamp_ns, return_index=True)
+    return first.astype(np.int64)
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class GnssFixes:
@@ -38,7 +47,14 @@ class GnssFixes:
 
     def __post_init__(self) -> None:
         n = len(self.lon_deg)
-        columns = (self.lat_deg, self.alt_m, self.sigma_east_m, self.sigma_north_m, self.sigma_up_m, self.status)
+        columns = (
+            self.lat_deg,
+            self.alt_m,
+            self.sigma_east_m,
+            self.sigma_north_m,
+            self.sigma_up_m,
+            self.status,
+        )
         require(all(len(c) == n for c in columns), "GNSS columns differ in length")
         require(self.stamp_ns is None or len(self.stamp_ns) == n, "GNSS stamps differ in length")
 

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
-from pyproj import Transformer
 
-from flexmap_tasks.geometry.utm import grid_scale_factor, scale_and_convergence, utm_epsg
+from flexmap_tasks.geometry.utm import grid_factors, height_factor, to_lonlat, to_utm, utm_epsg
 from flexmap_tasks.model.arrays import Floats
 
 
@@ -35,16 +34,13 @@ class TownFrame:
     def at(cls, lat_deg: float, lon_deg: float, height_m: float) -> TownFrame:
         """The frame with its anchor at its origin."""
         epsg = utm_epsg(lon_deg, lat_deg)
-        easting, northing = Transformer.from_crs(4326, epsg, always_xy=True).transform(lon_deg, lat_deg)
-        point_scale, _ = scale_and_convergence(epsg, lon_deg, lat_deg)
-        return cls(epsg, easting, northing, height_m, grid_scale_factor(point_scale, height_m))
+        east, north = to_utm(np.array([[lon_deg, lat_deg]]), epsg)[0].tolist()
+        return cls(epsg, east, north, height_m, _grid_scale(lon_deg, lat_deg, height_m, epsg))
 
     def anchored(self, xyz_m: Floats) -> TownFrame:
         """The same frame with its scale taken at xyz_m (3,) of this one."""
-        lon, lat, height = (float(v[0]) for v in self.geodetic(xyz_m[None]).T)
-        point_scale, _ = scale_and_convergence(self.epsg, lon, lat)
-        scale = grid_scale_factor(point_scale, height)
-        return TownFrame(self.epsg, self.easting_m, self.northing_m, self.height_m, scale)
+        lon, lat, height = self.geodetic(xyz_m[None])[0].tolist()
+        return replace(self, scale=_grid_scale(lon, lat, height, self.epsg))
 
     def utm(self, xyz_m: Floats) -> Floats:
         """(n, 3) easting, northing, ellipsoidal height."""
@@ -59,11 +55,12 @@ class TownFrame:
     def geodetic(self, xyz_m: Floats) -> Floats:
         """(n, 3) lon, lat in WGS84 degrees and ellipsoidal height."""
         utm = self.utm(xyz_m)
-        lon, lat = Transformer.from_crs(self.epsg, 4326, always_xy=True).transform(utm[:, 0], utm[:, 1])
-        return np.column_stack([lon, lat, utm[:, 2]])
+        return np.column_stack([to_lonlat(utm[:, :2], self.epsg), utm[:, 2]])
 
     def local(self, lonlat_deg: Floats) -> Floats:
         """(n, 2) metres of this frame of lonlat_deg (n, 2)."""
-        transformer = Transformer.from_crs(4326, self.epsg, always_xy=True)
-        east, north = transformer.transform(lonlat_deg[:, 0], lonlat_deg[:, 1])
-        return np.column_stack([(east - self.easting_m) / self.scale, (north - self.northing_m) / self.scale])
+        return np.asarray((to_utm(lonlat_deg, self.epsg) - [self.easting_m, self.northing_m]) / self.scale)
+
+
+def _grid_scale(lon_deg: float, lat_deg: float, height_m: float, epsg: int) -> float:
+    return grid_factors(lon_deg, lat_deg, epsg)[1] * height_factor(height_m)

@@ -1,0 +1,43 @@
+# Everything a newcomer needs. Each target sets up what it needs by itself.
+PYTHON ?= python3
+VENV := .venv
+BIN := $(VENV)/bin
+# Without compiled files every import of Prefect takes seconds.
+unexport PYTHONDONTWRITEBYTECODE
+export PREFECT_SERVER_ANALYTICS_ENABLED = false
+export DO_NOT_TRACK = 1
+export PREFECT_SERVER_EPHEMERAL_STARTUP_TIMEOUT_SECONDS = 120
+
+.PHONY: demo test lint bench clean system
+
+demo: $(VENV)/run  ## build .venv and make the map of a simulated town, through Prefect
+	$(BIN)/flexmap demo
+
+test: $(VENV)/dev  ## all tests
+	$(BIN)/python -m pytest -n 2 --dist loadfile
+
+lint: $(VENV)/dev  ## style, types and the layers of the house
+	$(BIN)/ruff format --check .
+	$(BIN)/ruff check .
+	$(BIN)/mypy
+	$(BIN)/lint-imports
+
+bench: $(VENV)/dev  ## speed beside peers measured in the same run, and growth over sizes
+	$(BIN)/python -m tests.bench
+
+system:  # what wheels expect from the system
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || { echo "FlexMap needs Python 3.11 or newer; run make with PYTHON=python3.11"; exit 1; }
+	@$(PYTHON) -c 'import venv, ensurepip' 2>/dev/null || { echo "Python's venv is missing: apt-get install python3-venv"; exit 1; }
+	@$(PYTHON) -c 'import ctypes.util as c, sys; sys.exit(c.find_library("usb-1.0") is None)' || echo "note: open3d needs libusb-1.0 (apt-get install libusb-1.0-0); all else works without it"
+
+$(VENV)/run: pyproject.toml constraints.txt | system
+	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e .
+	touch $@
+
+$(VENV)/dev: $(VENV)/run
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[test,lint]'
+	touch $@
+
+clean:  ## remove the environment; the artifact store stays
+	rm -rf $(VENV) build *.egg-info .mypy_cache .ruff_cache .pytest_cache .import_linter_cache

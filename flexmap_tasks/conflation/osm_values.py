@@ -1,0 +1,212 @@
+"""What a tag of OpenStreetMap says, in the words of Lanelet2; one typed parser per kind of value.
+
+A parser never guesses. What it cannot read, or what holds only at times, becomes a problem for a person.
+Values follow the OSM wiki (Key:maxspeed, Key:oneway, Key:highway, Key:zone:traffic, Key:source:maxspeed).
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Literal, TypeAlias
+
+from flexmap_tasks.config import TransferParams, TransferRule
+
+KMH_PER_MPH = 1.609344
+WALK_KMH = 7.0
+"""`maxspeed=walk`: what Lanelet2 itself drives in a play street."""
+SPEED_RANGE_KMH = (3.0, 150.0)
+"""No road has a posted limit outside this range."""
+TEXT_LENGTH_MAX = 255
+"""The longest value OpenStreetMap stores."""
+NONURBAN_HIGHWAYS = ("motorway", "motorway_link", "trunk", "trunk_link")
+CLOSED_SUBTYPES = ("bus_lane", "bicycle_lane", "walkway", "shared_walkway", "stairs", "crosswalk")
+"""Subtypes Lanelet2 closes to cars: never given to a lanelet that its author left open."""
+
+_NUMBER = re.compile(r"(\d{1,3}(?:\.\d{1,3})?) ?(km/h|kmh|kph|mph)?\Z")
+_ZONE_NUMBER = re.compile(r"([a-z]{2}):(?:zone:?)?(\d{2,3})\Z")
+_MPH_COUNTRIES = ("gb", "uk", "us")
+_WORD = re.compile(r"[a-z0-9_:.-]{1,64}\Z", re.IGNORECASE)
+_ZONE_KEYS = ("zone:traffic", "maxspeed:type", "source:maxspeed", "zone:maxspeed", "maxspeed")
+_URBAN = re.compile(r"(?:[a-z]{2}:)?(?:urban|living_street|zone:?\d+|bicycle_road)\Z|[a-z]{2}:[23]0\Z")
+_NONURBAN = re.compile(r"(?:[a-z]{2}:)?(?:rural|motorway|trunk|nsl_single|nsl_dual)\Z")
+_YES, _NO = ("yes", "true", "1"), ("no", "false", "0")
+
+
+Zones: TypeAlias = Mapping[str, float | Literal["none"]]
+"""Limits behind codes such as `de:urban`, km/h."""
+
+
+@dataclass(frozen=True, slots=True)
+class Offer:
+    """What OSM offers for one attribute of a lanelet.
+
+    value : the text to write; "" when OSM says nothing; what OSM says when there is a problem
+    weak : an assumption that only fills a gap
+    problem : why a person must look at it; such a value is never written
+    also : a further value that holds only at times, for a person
+    """
+
+    value: str = ""
+    weak: bool = False
+    problem: str = ""
+    also: str = ""
+
+
+NOTHING = Offer()
+
+
+def offer(rule: TransferRule, tags: Mapping[str, str], sense: int, params: TransferParams) -> Offer:
+    """What a way with these tags offers a lanelet that runs along it (`sense` +1) or against it (-1)."""
+    match rule.parser:
+        case "speed":
+            return _speed(rule.key, tags, sense, params)
+        case "subtype":
+            return _subtype(tags.get(rule.key, "").strip(), params)
+        case "location":
+            return _location(tags, rule.key, params)
+        case "oneway":
+            return _one_way(tags, sense)
+        case "word":
+            return _word(_directed(rule.key, tags, sense))
+        case _:
+            return _text(_directed(rule.key, tags, sense))
+
+
+def one_way_sense(tags: Mapping[str, str]) -> int | None:
+    """+1 along the way, -1 against it, 0 both; None when it changes or cannot be read."""
+    value = tags.get("oneway", "").strip().lower()
+    if value in _YES:
+        return 1
+    if value in ("-1", "reverse"):
+        return -1
+    if value in _NO:
+        return 0
+    if value:
+        return None
+    implied = tags.get("junction") in ("roundabout", "circular") or tags.get("highway") == "motorway"
+    return int(implied)
+
+
+def speed_kmh(text: str, zones: Zones) -> float | None:
+    """The limit in km/h, infinite for `none`; None when the text is no single limit."""
+    values = {_one_speed_kmh(part.strip().lower(), zones) for part in text.replace("|", ";").split(";")}
+    return values.pop() if len(values) == 1 else None
+
+
+def _one_speed_kmh(text: str, zones: Zones) -> float | None:
+    if text == "none" or zones.get(text) == "none":
+        return math.inf
+    if text == "walk":
+        return WALK_KMH
+    if text in zones:
+        return float(zones[text])
+    if hit := _NUMBER.match(text):
+        return float(hit[1]) * (KMH_PER_MPH if hit[2] == "mph" else 1.0)
+    if (hit := _ZONE_NUMBER.match(text)) and hit[1] not in _MPH_COUNTRIES:
+        return float(hit[2])
+    return None
+
+
+def format_kmh(speed: float) -> str:
+    """A plain number of km/h: the one form that Lanelet2 and tools that only read a number agree on."""
+    return f"{round(speed, 2):.2f}".rstrip("0").rstrip(".")
+
+
+def same_value(rule: TransferRule, a: str, b: str) -> bool:
+    """Both texts mean the same."""
+    if rule.parser == "speed":
+        first, second = speed_kmh(a, {}), speed_kmh(b, {})
+        if first is not None and second is not None:
+            return first == second or abs(first - second) < 0.05
+    if rule.parser == "oneway":
+        return (a in _YES) == (b in _YES) and (a in _NO) == (b in _NO)
+    return a == b
+
+
+def count(text: str) -> int | None:
+    """A number of lanes, None when the text is none."""
+    text = text.strip()
+    return int(text) if re.fullmatch(r"[0-9]{1,2}", text) and int(text) > 0 else None
+
+
+def _directed(key: str, tags: Mapping[str, str], sense: int) -> str:
+    """The value for this direction of the way, else the one for both."""
+    side = tags.get(f"{key}:forward" if sense > 0 else f"{key}:backward", "").strip()
+    return side or tags.get(key, "").strip()
+
+
+def _text(value: str) -> Offer:
+    if not value or not any(c.isalnum() for c in value):
+        return NOTHING
+    if len(value) > TEXT_LENGTH_MAX or not value.isprintable():
+        return Offer(value[:TEXT_LENGTH_MAX], problem="the text is too long or holds control characters")
+    return Offer(value)
+
+
+def _word(value: str) -> Offer:
+    if not value:
+        return NOTHING
+    parts = {part.strip().lower() for part in value.split(";")}
+    if len(parts) > 1 or not _WORD.match(min(parts)):
+        return Offer(value[:TEXT_LENGTH_MAX], problem="expected one OSM value")
+    return Offer(parts.pop())
+
+
+def _speed(key: str, tags: Mapping[str, str], sense: int, params: TransferParams) -> Offer:
+    also = "; ".join(
+        f"{k}={tags[k]}"
+        for k in sorted(tags)
+        if k.startswith(f"{key}:")
+        and (k.endswith(":conditional") or k == f"{key}:variable")
+        and tags[k].strip()
+    )
+    text = _directed(key, tags, sense) or tags.get(f"{key}:lanes", "").strip()
+    if not text:
+        return Offer(also=also)
+    speed = speed_kmh(text, params.zone_speeds_kmh)
+    if speed is None:
+        return Offer(text[:TEXT_LENGTH_MAX], problem="not understood as one speed limit", also=also)
+    if math.isinf(speed):
+        if params.no_limit_kmh is None:
+            return Offer(text, problem="no limit: Lanelet2 has no value for it, set no_limit_kmh", also=also)
+        speed = params.no_limit_kmh
+    low, high = SPEED_RANGE_KMH
+    if not low <= speed <= high:
+        return Offer(text, problem=f"a limit outside {low:g} to {high:g} km/h", also=also)
+    return Offer(format_kmh(speed), also=also)
+
+
+def _subtype(highway: str, params: TransferParams) -> Offer:
+    subtype = params.highway_subtypes.get(highway, "")
+    return Offer(subtype) if subtype else NOTHING
+
+
+def _location(tags: Mapping[str, str], key: str, params: TransferParams) -> Offer:
+    """From zone tags, living streets, motorways and trunks; the paper's `urban` only as an assumption."""
+    highway = tags.get("highway", "").strip()
+    if not tags.get(key, "").strip():
+        return NOTHING
+    votes = set()
+    for zone_key in _ZONE_KEYS:
+        value = tags.get(zone_key, "").strip().lower()
+        votes |= {"urban"} if _URBAN.match(value) else {"nonurban"} if _NONURBAN.match(value) else set()
+    if not votes and highway == "living_street":
+        votes = {"urban"}
+    if not votes and highway in NONURBAN_HIGHWAYS:
+        speed = speed_kmh(tags.get("maxspeed", ""), params.zone_speeds_kmh)
+        votes = {"nonurban"} if speed is None or speed > 50.0 else set()
+    if len(votes) > 1:
+        return Offer(" and ".join(sorted(votes)), problem="the zone tags contradict each other")
+    return Offer(votes.pop()) if votes else Offer("urban", weak=True)
+
+
+def _one_way(tags: Mapping[str, str], sense: int) -> Offer:
+    road = one_way_sense(tags)
+    if road is None:
+        return Offer(
+            tags["oneway"].strip()[:TEXT_LENGTH_MAX], problem="a direction that changes or is unknown"
+        )
+    return Offer("yes") if road == sense else NOTHING

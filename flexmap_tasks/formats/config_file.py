@@ -1,0 +1,138 @@
+"""Configurations as YAML: read with one clear line per mistake, written in full."""
+
+from __future__ import annotations
+
+import typing
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Any, TypeVar
+
+import yaml
+from pydantic import BaseModel, ValidationError
+
+from flexmap_tasks.config import Params
+from flexmap_tasks.errors import ConfigError
+
+P = TypeVar("P", bound=Params)
+
+
+class _Loader(yaml.SafeLoader):
+    """Safe YAML in which a key that stands twice is an error."""
+
+    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
+        keys = [self.construct_object(key, deep=deep) for key, _ in node.value]
+        for key, (key_node, _) in zip(keys, node.value, strict=True):
+            if keys.count(key) > 1:
+                raise yaml.MarkedYAMLError(
+                    problem=f"key {key!r} stands twice", problem_mark=key_node.start_mark
+                )
+        return super().construct_mapping(node, deep)
+
+
+def load_config(kind: type[P], file: Path, overrides: Iterable[str] = ()) -> P:
+    """The settings of `kind` in `file`, with `key.path=value` overrides; paths relative to the file.
+
+    Overriding paths are relative to the working directory. Raises ConfigError.
+    """
+    data = _read(file)
+    data = _resolve_paths(kind, data, file.parent)
+    for override in overrides:
+        key, equals, text = override.partition("=")
+        if not equals or not key:
+            raise ConfigError("--set", f"expected key.path=value, got {override!r}")
+        value = _parse(text, f"--set {key}")
+        _put(data, key.split("."), _resolve_paths_at(kind, key.split("."), value), override)
+    try:
+        return kind.model_validate(data)
+    except ValidationError as error:
+        first = error.errors(include_url=False)[0]
+        where = ".".join(str(part) for part in first["loc"]) or "top level"
+        more = f" (and {error.error_count() - 1} more)" if error.error_count() > 1 else ""
+        raise ConfigError(file.name, f"{_readable(first)}{more}", where) from None
+
+
+def dump_config(config: BaseModel) -> str:
+    """Settings as YAML, every one with its value."""
+    return yaml.safe_dump(config.model_dump(mode="json"), sort_keys=False, allow_unicode=True, width=100)
+
+
+def dump_yaml(data: Any) -> str:
+    """Plain data as YAML in the order given."""
+    return yaml.safe_dump(data, sort_keys=False, allow_unicode=True, width=100)
+
+
+def _read(file: Path) -> dict[str, Any]:
+    try:
+        text = file.read_text(encoding="utf-8")
+    except OSError as error:
+        raise ConfigError(
+            str(file), f"no such configuration ({error.strerror}); give the path of a YAML file"
+        ) from error
+    except UnicodeDecodeError:
+        raise ConfigError(file.name, "is not UTF-8 text; a configuration is a YAML file") from None
+    data = _parse(text, file.name)
+    if not isinstance(data, dict):
+        raise ConfigError(file.name, "expected keys and values (YAML), found something else")
+    return data
+
+
+def _parse(text: str, source: str) -> Any:
+    try:
+        return yaml.load(text, _Loader)  # noqa: S506 - a SafeLoader
+    except yaml.MarkedYAMLError as error:
+        line = f"line {error.problem_mark.line + 1}" if error.problem_mark else None
+        raise ConfigError(source, f"is not valid YAML: {error.problem}", line) from None
+    except (yaml.YAMLError, RecursionError, ValueError) as error:
+        raise ConfigError(source, f"is not valid YAML: {str(error).splitlines()[0]}") from None
+
+
+def _readable(error: Mapping[str, Any]) -> str:
+    if error["type"] == "extra_forbidden":
+        return "unknown key; see configs/defaults.yaml for those there are"
+    if error["type"] == "missing":
+        return "is missing"
+    found = error.get("input")
+    shown = "" if isinstance(found, dict | list) else f", got {found!r}"
+    return f"{error['msg'].removeprefix('Value error, ')}{shown}"
+
+
+def _put(data: dict[str, Any], keys: list[str], value: Any, override: str) -> None:
+    for key in keys[:-1]:
+        inner = data.setdefault(key, {})
+        if inner is None:
+            inner = data[key] = {}
+        if not isinstance(inner, dict):
+            raise ConfigError("--set", f"{override!r} goes below {key!r}, which is a value")
+        data = inner
+    data[keys[-1]] = value
+
+
+def _kinds(kind: Any) -> list[Any]:
+    """The alternatives of a type, None left out."""
+    return [a for a in typing.get_args(kind) if a is not type(None)] or [kind]
+
+
+def _model_of(kind: Any) -> type[BaseModel] | None:
+    return next((k for k in _kinds(kind) if isinstance(k, type) and issubclass(k, BaseModel)), None)
+
+
+def _resolve_paths(kind: type[BaseModel], data: dict[str, Any], base: Path) -> dict[str, Any]:
+    out = dict(data)
+    for name, field in kind.model_fields.items():
+        value = out.get(name)
+        model = _model_of(field.annotation)
+        if Path in _kinds(field.annotation) and isinstance(value, str):
+            out[name] = str((base / Path(value).expanduser()).resolve())
+        elif model is not None and isinstance(value, dict):
+            out[name] = _resolve_paths(model, value, base)
+    return out
+
+
+def _resolve_paths_at(kind: type[BaseModel], keys: list[str], value: Any) -> Any:
+    for key in keys[:-1]:
+        field = kind.model_fields.get(key)
+        model = _model_of(field.annotation) if field else None
+        if model is None:
+            return value
+        kind = model
+    return _resolve_paths(kind, {keys[-1]: value}, Path.cwd())[keys[-1]]

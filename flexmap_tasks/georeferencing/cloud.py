@@ -1,0 +1,117 @@
+"""The cloud moved by the warp: tile by tile of the SLAM frame into tiles of the map frame.
+
+Each SLAM tile is warped and cut on its own; a map tile then joins the parts it got. So a change of the warp
+reaches exactly the SLAM tiles it touches and the map tiles that have a part of them.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from flexmap_tasks.config import PointCloudParams
+from flexmap_tasks.engine.stage import stage
+from flexmap_tasks.errors import CoverageError
+from flexmap_tasks.formats.pcd import pcd_bytes
+from flexmap_tasks.formats.pointcloud_metadata import metadata_bytes
+from flexmap_tasks.geometry.tiles import group_by_tile
+from flexmap_tasks.model.alignment import Extent, Warp
+from flexmap_tasks.model.arrays import Floats
+from flexmap_tasks.model.clouds import (
+    PointCloud,
+    TileKeys,
+    cloud_findings,
+    tile_key,
+    tile_numbers,
+)
+from flexmap_tasks.model.maps import Findings
+
+EDGE_M = 0.001
+"""Rounding may leave a point this little outside of its tile's box."""
+
+FLOAT32_MILLIMETRE_M = 10_000.0
+"""float32 steps by 1 mm from 8.2 km on and by 2 mm from 16.4 km on."""
+
+MAX_COORDINATE_M = 1e8
+NORMALS = (("normal_x", "normal_y"), ("nx", "ny"))
+
+
+def tile_extent(key: str, params: PointCloudParams) -> Extent:
+    """The box that holds all points of a tile, a millimetre wider than its nominal one."""
+    low_x, low_y = (n * params.tile_size_m for n in tile_numbers(key))
+    size = params.tile_size_m
+    return Extent(low_x - EDGE_M, low_y - EDGE_M, low_x + size + EDGE_M, low_y + size + EDGE_M)
+
+
+@stage("warped_tile")
+def warp_tile(tile: PointCloud, warp: Warp, params: PointCloudParams) -> dict[str, PointCloud]:
+    """The points of one SLAM tile in the map frame, by map tile; their order is kept within each.
+
+    Normals (normal_x, normal_y or nx, ny) turn with the warp's local yaw. All other fields stay as they are.
+    """
+    xyz_m = np.asarray(warp.apply(tile.xyz_m), dtype=np.float64)
+    if not (np.abs(xyz_m) <= MAX_COORDINATE_M).all():
+        raise CoverageError(
+            "alignment", "the warp moves points of the cloud out of any map frame; check the control points"
+        )
+    moved = PointCloud(xyz_m, {**tile.fields, **_turned_normals(tile, warp)})
+    order, starts, cells = group_by_tile(xyz_m[:, :2], params.tile_size_m)
+    bounds = zip(cells.tolist(), starts[:-1].tolist(), starts[1:].tolist(), strict=True)
+    return {tile_key(x, y): moved.take(order[first:last]) for (x, y), first, last in bounds}
+
+
+@stage("pcd_tile")
+def merge_tile(parts: dict[str, PointCloud]) -> dict[str, bytes]:
+    """One map tile as a binary PCD file `tile.pcd`; `parts` by the key of the SLAM tile they come from.
+
+    Parts follow each other in the order of (ix, iy) of their SLAM tiles.
+    """
+    clouds = [parts[key] for key in sorted(parts, key=tile_numbers)]
+    names = list(clouds[0].fields)
+    joined = PointCloud(
+        np.concatenate([c.xyz_m for c in clouds]),
+        {name: np.concatenate([c.fields[name] for c in clouds]) for name in names},
+    )
+    return {"tile.pcd": pcd_bytes(joined)}
+
+
+@stage("pointcloud_metadata")
+def pointcloud_metadata(tiles: TileKeys, params: PointCloudParams) -> dict[str, bytes]:
+    """`pointcloud_map_metadata.yaml` for map tiles that lie in files `<key>.pcd`."""
+    corners = {
+        f"{key}.pcd": (x * params.tile_size_m, y * params.tile_size_m)
+        for key in sorted(tiles.key.tolist(), key=tile_numbers)
+        for x, y in [tile_numbers(key)]
+    }
+    return {"pointcloud_map_metadata.yaml": metadata_bytes(params.tile_size_m, corners)}
+
+
+@stage("cloud_findings")
+def check_map_tiles(tiles: TileKeys, params: PointCloudParams) -> Findings:
+    """Warn when tiles lie so far from the origin that float32 coordinates lose a millimetre."""
+    cells = np.array([tile_numbers(k) for k in tiles.key.tolist()], dtype=np.int64).reshape(-1, 2)
+    corners_m = np.maximum(np.abs(cells), np.abs(cells + 1)) * params.tile_size_m
+    far = int((corners_m.max(axis=1, initial=0) > FLOAT32_MILLIMETRE_M).sum())
+    if not far:
+        return cloud_findings([])
+    reach_m = float(corners_m.max())
+    step_mm = 1000 * float(np.spacing(np.float32(reach_m)))
+    message = (
+        f"{far} of {len(cells)} tiles lie over 10 km from the map's origin; float32 coordinates up to "
+        f"{reach_m / 1000:.1f} km come in steps of {step_mm:.1f} mm; choose a nearer projection.origin"
+    )
+    return cloud_findings([("cloud-far-from-origin", "warning", message)])
+
+
+def _turned_normals(tile: PointCloud, warp: Warp) -> dict[str, Floats]:
+    pairs = [p for p in NORMALS if all(n in tile.fields and tile.fields[n].dtype.kind == "f" for n in p)]
+    if not pairs:
+        return {}
+    bend = warp.jacobian(tile.xyz_m)
+    yaw = np.arctan2(bend[:, 1, 0] - bend[:, 0, 1], bend[:, 0, 0] + bend[:, 1, 1])  # of the nearest rotation
+    cos, sin = np.cos(yaw), np.sin(yaw)
+    out: dict[str, Floats] = {}
+    for name_x, name_y in pairs:
+        x, y = (tile.fields[n].astype(np.float64) for n in (name_x, name_y))
+        out[name_x] = (cos * x - sin * y).astype(tile.fields[name_x].dtype)
+        out[name_y] = (sin * x + cos * y).astype(tile.fields[name_y].dtype)
+    return out

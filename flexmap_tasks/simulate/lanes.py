@@ -1,0 +1,226 @@
+"""Lanes of every road and the turns between them, with shared lines where they touch.
+
+A strip is a lane between two junctions, or a turn inside one. Strips that follow each other share the end
+points of both bounds; strips side by side share the line between them.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from flexmap_tasks.model.arrays import Floats, Ints
+from flexmap_tasks.simulate import lines
+from flexmap_tasks.simulate.roads import Network, Road
+
+BICYCLE_WIDTH_M, SHOULDER_WIDTH_M = 1.6, 2.5
+MAX_TURN_RAD = 2.9
+STRAIGHT_RAD = 0.6
+
+Arm = tuple[int, bool]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Strip:
+    """One lane or turn.
+
+    left, right : (n,) rows of the points of both bounds, in driving direction
+    road, direction : the road it lies on and whether it runs along (+1) or against (-1) its line; for a turn
+        the road it comes from
+    to_road, to_direction : for a turn the road it leads to, else -1, 0
+    lane : 0 for the lane nearest the middle of the road
+    road_s : (n,) metres along the road's line of every pair of points; empty for a turn
+    kind : "lane", "bus", "bicycle", "shoulder" or "turn"; turn : "left", "right", "straight" or ""
+    node : the junction of a turn, -1 for a lane
+    """
+
+    left: Ints
+    right: Ints
+    road: int
+    direction: int
+    lane: int
+    road_s: Floats
+    kind: str = "lane"
+    to_road: int = -1
+    to_direction: int = 0
+    turn: str = ""
+    node: int = -1
+
+    @property
+    def drivable(self) -> bool:
+        """Whether cars may use it as a lane."""
+        return self.kind in ("lane", "bus", "turn")
+
+
+@dataclass(slots=True)
+class LaneNetwork:
+    """All strips of a network.
+
+    xyz : (n, 3) points; strips in a fixed order; followers : per strip the strips after it
+    trims : (road, at_end) -> metres of the road's line that belong to the junction
+    line_kind : (first point, last point of a lane's line) -> how it is painted
+    """
+
+    network: Network
+    xyz: Floats
+    strips: list[Strip]
+    followers: list[list[int]]
+    trims: dict[Arm, float]
+
+    def centreline(self, strip: Strip) -> Floats:
+        """(n, 3) mean of both bounds."""
+        return np.asarray((self.xyz[strip.left] + self.xyz[strip.right]) / 2)
+
+
+@dataclass(slots=True)
+class _Builder:
+    points: list[Floats] = field(default_factory=list)
+    count: int = 0
+    curves: dict[tuple[int, int], Ints] = field(default_factory=dict)
+
+    def add(self, xyz: Floats) -> Ints:
+        self.points.append(xyz)
+        self.count += len(xyz)
+        return np.arange(self.count - len(xyz), self.count, dtype=np.int64)
+
+
+def make_lanes(network: Network, spacing_m: float, shoulders: bool) -> LaneNetwork:
+    """Strips of every road, then the turns of every junction."""
+    build, strips = _Builder(), list[Strip]()
+    trims = _trims(network)
+    ends: dict[tuple[int, int], list[int]] = {}
+    for i, road in enumerate(network.roads):
+        for strip in _road_strips(build, network, i, road, trims, shoulders):
+            if strip.drivable:
+                ends.setdefault((i, strip.direction), []).append(len(strips))
+            strips.append(strip)
+    lanes = LaneNetwork(network, np.vstack(build.points), strips, [[] for _ in strips], trims)
+    for node, arms in enumerate(network.arms()):
+        _junction(build, lanes, ends, node, arms, spacing_m)
+    lanes.xyz = np.vstack(build.points)
+    return lanes
+
+
+def _out_way(network: Network, arm: Arm) -> Floats:
+    xyz = network.roads[arm[0]].xyz
+    xyz = xyz[::-1] if arm[1] else xyz
+    near = lines.at(xyz[:, :2], np.array([0.0, min(8.0, network.roads[arm[0]].length_m)]))
+    return np.asarray((near[1] - near[0]) / max(np.hypot(*(near[1] - near[0])), 1e-9))
+
+
+def _trims(network: Network) -> dict[Arm, float]:
+    """How far each road keeps from its junctions so that the lanes of two roads do not cross."""
+    trims: dict[Arm, float] = {}
+    for arms in network.arms():
+        ways = [_out_way(network, a) for a in arms]
+        angle = [float(np.arctan2(w[1], w[0])) for w in ways]
+        for k, arm in enumerate(arms):
+            road = network.roads[arm[0]]
+            need = 0.0 if len(arms) == 1 else 2.5
+            for j, other in enumerate(arms):
+                phi = abs((angle[j] - angle[k] + np.pi) % (2 * np.pi) - np.pi)
+                if j == k or phi > 2.75:
+                    continue
+                mine, theirs = road.width_m / 2, network.roads[other[0]].width_m / 2
+                reach = (theirs + mine * np.cos(phi)) / max(np.sin(phi), 0.2)
+                need = max(need, reach + 2.5)
+            trims[arm] = float(min(need, 45.0, 0.42 * road.length_m))
+    return trims
+
+
+def _road_strips(
+    build: _Builder, network: Network, i: int, road: Road, trims: dict[Arm, float], shoulders: bool
+) -> list[Strip]:
+    """Lines from one edge of the road to the other, and the strips between them."""
+    line = lines.cut(road.xyz, trims[i, False], road.length_m - trims[i, True])
+    road_s = trims[i, False] + lines.along(line)
+    total, w = road.width_m, road.lane_width_m
+    offsets = list(total / 2 - w * np.arange(road.forward + road.backward + 1))
+    kinds = ["bus" if road.bus and k == 0 and road.backward > 1 else "lane" for k in range(road.backward)]
+    kinds += ["bus" if road.bus and k == road.forward - 1 > 0 else "lane" for k in range(road.forward)]
+    extra = ("bicycle", BICYCLE_WIDTH_M) if road.bicycle else ("shoulder", SHOULDER_WIDTH_M)
+    if road.bicycle or (shoulders and road.highway == "motorway"):
+        offsets, kinds = [*offsets, offsets[-1] - extra[1]], [*kinds, extra[0]]
+        if road.backward:
+            offsets, kinds = [offsets[0] + extra[1], *offsets], [extra[0], *kinds]
+    rows = [build.add(lines.shifted(line, network.side * float(o))) for o in offsets]
+    split = sum(k != "shoulder" and k != "bicycle" for k in kinds[: len(kinds)])
+    split = road.backward + (1 if road.backward and kinds[0] in ("bicycle", "shoulder") else 0)
+    strips = []
+    for k, kind in enumerate(kinds):
+        along = k >= split
+        inner, outer = (rows[k], rows[k + 1]) if along else (rows[k + 1], rows[k])
+        s, lane = road_s, k - split
+        if not along:
+            inner, outer, s, lane = inner[::-1], outer[::-1], road_s[::-1], split - 1 - k
+        left, right = (inner, outer) if network.side > 0 else (outer, inner)
+        strips.append(Strip(left, right, i, 1 if along else -1, lane, s, kind))
+    return strips
+
+
+def _junction(
+    build: _Builder, lanes: LaneNetwork, ends: dict[tuple[int, int], list[int]], node: int, arms: list[Arm],
+    spacing_m: float,
+) -> None:  # fmt: skip
+    """Turns from every road that arrives to every road that leaves."""
+    network = lanes.network
+    arriving = [(a, 1 if a[1] else -1) for a in arms if (a[0], 1 if a[1] else -1) in ends]
+    leaving = [(a, -1 if a[1] else 1) for a in arms if (a[0], -1 if a[1] else 1) in ends]
+    angle: dict[tuple[Arm, Arm], float] = {}
+    for a, _ in arriving:
+        into = -_out_way(network, a)
+        for b, _ in leaving:
+            out = _out_way(network, b)
+            turn = float(np.arctan2(into[0] * out[1] - into[1] * out[0], into @ out)) * network.side
+            if a != b and abs(turn) < MAX_TURN_RAD:
+                angle[a, b] = turn
+    for (a, b), turn in angle.items():
+        from_ids = ends[a[0], 1 if a[1] else -1]
+        to_ids = ends[b[0], -1 if b[1] else 1]
+        main = abs(turn) <= min(
+            [abs(v) for (p, q), v in angle.items() if p == a or q == b]
+        )
+        first = sorted(from_ids, key=lambda k: lanes.strips[k].lane)
+        second = sorted(to_ids, key=lambda k: lanes.strips[k].lane)
+        for x, y in _pairs(len(first), len(second), turn, main):
+            _turn(build, lanes, first[x], second[y], node, turn * network.side, spacing_m)
+
+
+def _pairs(n: int, m: int, turn: float, main: bool) -> list[tuple[int, int]]:
+    """Which of n arriving lanes lead to which of m leaving ones, 0 the innermost; turn > 0 is inward."""
+    if abs(turn) < STRAIGHT_RAD and main:
+        return [(min(k, n - 1), min(k, m - 1)) for k in range(max(n, m))]
+    if abs(turn) < STRAIGHT_RAD:
+        return [(n - 1, m - 1)]
+    return [(0, 0)] if turn > 0 else [(n - 1, m - 1)]
+
+
+def _turn(
+    build: _Builder, lanes: LaneNetwork, a: int, b: int, node: int, turn: float, spacing_m: float
+) -> None:
+    """One strip through the junction; its bounds are shared with turns between the same points."""
+    xyz = np.vstack(build.points) if len(build.points) > 1 else build.points[0]
+    build.points = [xyz]
+    first, second = lanes.strips[a], lanes.strips[b]
+    way_in = lines.tangents(xyz[first.left[-2:]])[-1]
+    way_out = lines.tangents(xyz[second.left[:2]])[0]
+    chords = [float(np.hypot(*(xyz[t] - xyz[f])[:2])) for f, t in ((first.left[-1], second.left[0]), (first.right[-1], second.right[0]))]
+    if min(chords) < 0.3:
+        return
+    n = max(4, int(np.ceil(max(chords) * 1.15 / min(spacing_m, 2.5))) + 1)
+    sides = []
+    for f, t in ((int(first.left[-1]), int(second.left[0])), (int(first.right[-1]), int(second.right[0]))):
+        if (f, t) not in build.curves or len(build.curves[f, t]) != n:
+            curve = lines.bezier(xyz[f, :2], way_in, xyz[t, :2], way_out, spacing_m, n)
+            z = np.linspace(xyz[f, 2], xyz[t, 2], n)
+            inner = build.add(np.column_stack([curve, z])[1:-1])
+            build.curves[f, t] = np.concatenate([[f], inner, [t]]).astype(np.int64)
+        sides.append(build.curves[f, t])
+    word = "straight" if abs(turn) < STRAIGHT_RAD else "left" if turn > 0 else "right"
+    lanes.followers[a].append(len(lanes.strips))
+    lanes.followers.append([b])
+    lanes.strips.append(
+        Strip(sides[0], sides[1], first.road, first.direction, first.lane, np.empty(0), "turn", second.road,
+              second.direction, word, node)
+    )  # fmt: skip

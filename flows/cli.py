@@ -1,0 +1,111 @@
+"""The `flexmap` command.
+
+Exit codes: 0 done; 1 an error inside FlexMap; 2 an input, the configuration or the store is at fault;
+130 interrupted.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+from pathlib import Path
+from typing import Annotated
+
+from cyclopts import App, Parameter
+from rich.console import Console
+
+from flexmap_tasks.errors import FlexMapError
+from flows import commands
+
+app = App(name="flexmap", help=__doc__, version="0.1.0")
+
+Set = Annotated[tuple[str, ...], Parameter(name="--set", consume_multiple=True, negative="")]
+StoreUrl = Annotated[Path, Parameter(name="--store", env_var="FLEXMAP_STORE")]
+STORE = Path("artifacts")
+
+
+@app.command
+def run(config: Path, *, set_: Set = (), store: StoreUrl = STORE, prefect: bool = True) -> None:
+    """Make a release: compute what changed, reuse everything else.
+
+    Parameters
+    ----------
+    config
+        YAML file of one map; see configs/defaults.yaml.
+    set_
+        Settings to override, as key.path=value; paths relative to the working directory.
+    store
+        Folder of the artifact store.
+    prefect
+        Run as a Prefect flow; with --no-prefect in this process, without server and dashboard.
+    """
+    commands.run(config, set_, store, through_prefect=prefect)
+
+
+@app.command
+def plan(config: Path, *, set_: Set = (), store: StoreUrl = STORE) -> None:
+    """Say what a run would do and why: cached, run, or depends on what comes before.
+
+    Parameters
+    ----------
+    config
+        YAML file of one map.
+    set_
+        Settings to override, as key.path=value.
+    store
+        Folder of the artifact store.
+    """
+    commands.plan(config, set_, store)
+
+
+@app.command(name="show-config")
+def show_config(config: Path, *, set_: Set = ()) -> None:
+    """Print the whole configuration, defaults included, as YAML.
+
+    Parameters
+    ----------
+    config
+        YAML file of one map.
+    set_
+        Settings to override, as key.path=value.
+    """
+    commands.show_config(config, set_)
+
+
+@app.command
+def demo(*, store: StoreUrl = STORE, prefect: bool = True) -> None:
+    """Simulate a small town and make its map: the main job from a recording to a finished release.
+
+    Parameters
+    ----------
+    store
+        Folder of the artifact store; the town's files go to <store>/demo.
+    prefect
+        Run as a Prefect flow.
+    """
+    commands.demo(store, through_prefect=prefect)
+
+
+def main() -> None:
+    """Entry point: every error a user can cause is one line on stderr."""
+    errors = Console(stderr=True, soft_wrap=True, highlight=False)
+    try:
+        app()
+    except FlexMapError as error:
+        errors.print(f"flexmap: {error}", markup=False, style="red")
+        sys.exit(error.exit_code)
+    except KeyboardInterrupt:
+        errors.print("flexmap: interrupted; what was finished is kept", markup=False)
+        sys.exit(130)
+    except Exception as error:
+        if os.environ.get("FLEXMAP_DEBUG"):
+            raise
+        errors.print(
+            f"flexmap: internal error, {type(error).__name__}: {error} (FLEXMAP_DEBUG=1 shows where)",
+            markup=False,
+        )
+        sys.exit(1)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,99 @@
+"""What the commands do."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import time
+from collections.abc import Iterable
+from pathlib import Path
+
+from flexmap_tasks.config import FlexMapConfig
+from flexmap_tasks.engine.execute import Engine, Outcome
+from flexmap_tasks.engine.graph import Graph
+from flexmap_tasks.engine.local import run_local
+from flexmap_tasks.engine.plan import Plan, make_plan, read_last_run
+from flexmap_tasks.engine.release import Release
+from flexmap_tasks.formats.config_file import dump_config, load_config
+from flexmap_tasks.pipeline import map_update
+from flexmap_tasks.store.store import Store
+from flows import console
+from flows.finish import finish_run
+
+PROJECT = Path(__file__).resolve().parents[1]
+
+PREFECT_SETTINGS = {
+    "PREFECT_SERVER_EPHEMERAL_STARTUP_TIMEOUT_SECONDS": "120",  # a cold server needs 10 to 35 s
+    "PREFECT_SERVER_ANALYTICS_ENABLED": "false",
+    "DO_NOT_TRACK": "1",
+    "PREFECT_LOGGING_LEVEL": "WARNING",  # the command shows its own progress
+}
+
+
+def run(file: Path, overrides: Iterable[str], store: Path, *, through_prefect: bool) -> None:
+    """Plan, run what has to run, publish."""
+    run_config(load_config(FlexMapConfig, file, overrides), store, through_prefect=through_prefect)
+
+
+def run_config(config: FlexMapConfig, store_path: Path, *, through_prefect: bool) -> Release:
+    """The same for settings already read."""
+    clock = time.perf_counter()
+    store = Store.open(store_path)
+    store.check_writable()
+    graph = map_update(config)
+    plan_ = make_plan(Engine(store), graph, read_last_run(store, config.map))
+    if plan_.all_cached:
+        outcomes = {
+            s.node.name: Outcome(
+                s.node.name, s.record.key, s.record.output, cached=True, seconds=s.record.seconds
+            )
+            for s in plan_.steps
+            if s.record is not None
+        }
+        release = finish_run(store, graph, outcomes, config.map)
+        console.say(
+            f"{config.map}: nothing changed, all {len(outcomes)} stages are cached; no flow was started"
+        )
+    elif through_prefect:
+        release = _run_prefect(config, store_path, plan_)
+    else:
+        outcomes = _run_here(store, graph)
+        release = finish_run(store, graph, outcomes, config.map)
+    console.show_summary(config.map, release, time.perf_counter() - clock)
+    return release
+
+
+def plan(file: Path, overrides: Iterable[str], store: Path) -> None:
+    """Print the plan."""
+    config = load_config(FlexMapConfig, file, overrides)
+    opened = Store.open(store)
+    console.show_plan(
+        config.map, make_plan(Engine(opened), map_update(config), read_last_run(opened, config.map))
+    )
+
+
+def show_config(file: Path, overrides: Iterable[str]) -> None:
+    """Print the effective configuration."""
+    console.write(dump_config(load_config(FlexMapConfig, file, overrides)))
+
+
+def demo(store: Path, *, through_prefect: bool) -> None:
+    """Simulate the small town once, then run its configuration."""
+    config = load_config(FlexMapConfig, PROJECT / "configs" / "demo.yaml")
+    run_config(config, store, through_prefect=through_prefect)
+
+
+def _run_here(store: Store, graph: Graph) -> dict[str, Outcome]:
+    with console.StageProgress(len(graph.nodes)) as progress:
+        return run_local(store, graph, progress.start, progress.done, progress.item)
+
+
+def _run_prefect(config: FlexMapConfig, store: Path, plan_: Plan) -> Release:
+    """The flow, against the configured server or one of its own that ends with it."""
+    for name, value in PREFECT_SETTINGS.items():
+        os.environ.setdefault(name, value)
+    waiting = sum(1 for s in plan_.steps if s.state != "cached")
+    console.say(f"{config.map}: {waiting} of {len(plan_.steps)} stages may run; starting Prefect")
+    from flows.map_update import map_update as flow  # noqa: PLC0415 - importing Prefect takes seconds
+
+    return asyncio.run(flow(config, str(store.resolve())))

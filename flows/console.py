@@ -1,0 +1,125 @@
+"""What a person sees in the terminal."""
+
+from __future__ import annotations
+
+import json
+import sys
+from typing import Any
+
+from rich.console import Console
+from rich.progress import (
+    BarColumn,
+    MofNCompleteColumn,
+    Progress,
+    SpinnerColumn,
+    TextColumn,
+    TimeElapsedColumn,
+)
+from rich.table import Table
+
+from flexmap_tasks.engine.execute import Outcome
+from flexmap_tasks.engine.graph import Node
+from flexmap_tasks.engine.plan import Plan
+from flexmap_tasks.engine.release import Release
+
+_console = Console(highlight=False)
+STATE_STYLE = {"cached": "green", "run": "yellow", "depends": "cyan"}
+
+
+def say(line: str) -> None:
+    """One line."""
+    _console.print(line, markup=False, soft_wrap=True)
+
+
+def write(text: str) -> None:
+    """Text as it is, for other programs to read."""
+    sys.stdout.write(text)
+
+
+def show_plan(map_name: str, plan: Plan) -> None:
+    """One row per stage with its state and the reason."""
+    table = Table(title=f"Plan for {map_name}", box=None, title_justify="left")
+    for column in ("stage", "state", "why"):
+        table.add_column(column, overflow="fold")
+    for step in plan.steps:
+        style = STATE_STYLE[step.state]
+        table.add_row(step.node.name, f"[{style}]{step.state}[/]", step.why.replace("[", r"\["))
+    _console.print(table)
+    run = sum(1 for s in plan.steps if s.state == "run")
+    depends = sum(1 for s in plan.steps if s.state == "depends")
+    say(f"{len(plan.steps) - run - depends} cached, {run} will run, {depends} depend on what comes before")
+
+
+def show_summary(map_name: str, release: Release, seconds: float) -> None:
+    """Quality figures and where the release lies; the path stands alone on the last line."""
+    quality: dict[str, Any] = json.loads((release.folder / "quality.json").read_text())
+    table = Table(title=f"Quality of {map_name}", box=None, title_justify="left")
+    table.add_column("figure")
+    table.add_column("value", justify="right")
+    table.add_column("unit")
+    table.add_column("limit", justify="right")
+    for measure in quality["measures"]:
+        limit = (
+            ""
+            if measure["limit"] is None
+            else f"{measure['limit']:g} {'ok' if measure['passed'] else 'MISSED'}"
+        )
+        value = "-" if measure["value"] is None else f"{measure['value']:.6g}"
+        table.add_row(measure["name"], value, measure["unit"], limit)
+    _console.print(table)
+    state = "new release" if release.fresh else "release unchanged"
+    say(f"{state} {release.id} of {map_name} in {seconds:.1f} s:")
+    say(
+        str(
+            release.folder / "lanelet2_map.osm"
+            if (release.folder / "lanelet2_map.osm").exists()
+            else release.folder
+        )
+    )
+
+
+class StageProgress:
+    """A bar over stages and, for those that run per item, over items."""
+
+    def __init__(self, stages: int) -> None:
+        self._progress = Progress(
+            SpinnerColumn(),
+            TextColumn("{task.description}"),
+            BarColumn(),
+            MofNCompleteColumn(),
+            TimeElapsedColumn(),
+            console=_console,
+            transient=True,
+        )
+        self._stages = self._progress.add_task("stages", total=stages)
+        self._items = self._progress.add_task("", total=None, visible=False)
+
+    def __enter__(self) -> StageProgress:
+        self._progress.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._progress.stop()
+
+    def start(self, node: Node) -> None:
+        """A stage begins."""
+        self._progress.update(self._stages, description=node.name)
+
+    def item(self, node: Node, done: int, total: int) -> None:
+        """Some items of a stage are done."""
+        self._progress.update(
+            self._items, description=f"  {node.name}", completed=done, total=total, visible=done < total
+        )
+
+    def done(self, outcome: Outcome) -> None:
+        """A stage ended."""
+        self._progress.advance(self._stages)
+        state = "cached  " if outcome.cached else "computed"
+        items = (
+            f"  {outcome.computed} of {outcome.items} items"
+            if outcome.items > 1 and not outcome.cached
+            else ""
+        )
+        self._progress.console.print(
+            f"{state}  {outcome.name:<22}{outcome.seconds:8.2f} s{items}", markup=False
+        )
