@@ -146,7 +146,9 @@ class ProjectionParams(Params):
 
     origin: Literal["first_fix"] | GeoPoint = "first_fix"
     datum: str = Field("WGS84", description="datum and realisation of the fixes, recorded as given")
-    zone: str | None = Field(None, description='UTM zone such as "32N"; the origin\'s own when empty')
+    zone: Annotated[str, StringConstraints(pattern=r"^([1-9]|[1-5][0-9]|60)[NS]$")] | None = Field(
+        None, description='UTM zone such as "32N"; the origin\'s own when empty'
+    )
 
 
 class UmeyamaParams(Params):
@@ -164,6 +166,7 @@ class ControlPointsParams(Params):
     max_rigid_distance_m: Positive = Field(
         200.0, description="a pair further apart than this after the rigid start does not belong together"
     )
+    sigma_m: Positive = Field(0.1, description="standard deviation of a pair whose line gives none")
 
 
 class RubberSheetParams(Params):

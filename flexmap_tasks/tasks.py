@@ -10,9 +10,9 @@ from typing import Any
 
 from prefect import Task, task
 from prefect.cache_policies import NO_CACHE
+from prefect.client.schemas.objects import State
 from prefect.futures import PrefectFuture
 from prefect.logging import get_run_logger
-from prefect.client.schemas.objects import State
 from prefect.states import Completed
 
 from flexmap_tasks.engine.execute import Engine, Outcome

@@ -73,6 +73,12 @@ def show_config(config: Path, *, set_: Set = ()) -> None:
 
 
 @app.command
+def defaults() -> None:
+    """Print every setting with its default and meaning, as YAML (this is configs/defaults.yaml)."""
+    commands.defaults()
+
+
+@app.command
 def demo(*, store: StoreUrl = STORE, prefect: bool = True) -> None:
     """Simulate a small town and make its map: the main job from a recording to a finished release.
 

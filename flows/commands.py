@@ -14,6 +14,7 @@ from flexmap_tasks.engine.graph import Graph
 from flexmap_tasks.engine.local import run_local
 from flexmap_tasks.engine.plan import Plan, make_plan, read_last_run
 from flexmap_tasks.engine.release import Release
+from flexmap_tasks.formats.config_defaults import defaults_yaml
 from flexmap_tasks.formats.config_file import dump_config, load_config
 from flexmap_tasks.pipeline import map_update
 from flexmap_tasks.store.store import Store
@@ -75,6 +76,11 @@ def plan(file: Path, overrides: Iterable[str], store: Path) -> None:
 def show_config(file: Path, overrides: Iterable[str]) -> None:
     """Print the effective configuration."""
     console.write(dump_config(load_config(FlexMapConfig, file, overrides)))
+
+
+def defaults() -> None:
+    """Print the reference of all settings."""
+    console.write(defaults_yaml(FlexMapConfig))
 
 
 def demo(store: Path, *, through_prefect: bool) -> None:

@@ -7,6 +7,7 @@ lanelet is the mean of its bounds at equal shares, so its pieces have exactly th
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 import shapely
@@ -14,7 +15,18 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from flexmap_tasks.config import TransferParams
-from flexmap_tasks.conflation.transfer_table import LaneletFacts, Rows
+from flexmap_tasks.conflation.split_lines import (
+    Line,
+    WayCut,
+    area,
+    at_share,
+    own_places,
+    pieces,
+    place,
+    turned,
+)
+from flexmap_tasks.conflation.split_wanted import Wanted
+from flexmap_tasks.conflation.transfer_table import LaneletFacts
 from flexmap_tasks.model.arrays import Bools, Floats, Ints
 from flexmap_tasks.model.maps import LaneletMap, Lanelets
 from flexmap_tasks.model.osm import node_rows, rows_of
@@ -23,25 +35,6 @@ VERTEX_M = 0.01
 """A cut this near to a vertex is made at it, whatever `split_snap_m` says."""
 PIECE_MIN_M = 0.5
 """No piece of a bound is shorter."""
-
-
-@dataclass(frozen=True, slots=True)
-class Wanted:
-    """A change of values along a lanelet: at `s_m`, told by row `row` of the matches used, with a reason."""
-
-    lanelet: int
-    s_m: float
-    row: int
-    reason: str
-
-
-@dataclass(frozen=True, slots=True)
-class WayCut:
-    """A cut of a way at a vertex (`t` 0) or between it and the next; `along_m` from the start of the way."""
-
-    vertex: int
-    t: float
-    along_m: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,88 +55,11 @@ class CutPlan:
 
 
 @dataclass(frozen=True, slots=True)
-class _Line:
-    """A way as a line: (n, 2) vertices and metres along."""
-
-    xy_m: Floats
-    along_m: Floats
-
-
-@dataclass(frozen=True, slots=True)
 class _Group:
     """Lanelets that share bounds: direction of lanelets and ways (bounds, centrelines) against the group's axis."""
 
     lanelet_sign: dict[int, int]
     way_sign: dict[int, int]
-
-
-def wanted_cuts(
-    rows: Rows, landing: Ints, texts: list[list[str]], facts: LaneletFacts, params: TransferParams
-) -> list[Wanted]:
-    """Changes along each lanelet; `landing` (n, r) codes what each row would write, 0 nothing; texts name them."""
-    if not len(rows):
-        return []
-    _, signature = np.unique(landing, axis=0, return_inverse=True)
-    signature = signature.ravel()
-    first = np.flatnonzero(np.append(True, rows.lanelet[1:] != rows.lanelet[:-1]))
-    end = np.append(first[1:], len(rows))
-    owner = np.repeat(np.arange(len(first)), end - first)
-    differs = np.bincount(owner[signature != signature[first][owner]], minlength=len(first)) > 0
-    reach = np.maximum.reduceat(rows.s_to_m, first)
-    gap = np.maximum(rows.s_from_m[first], facts.length_m[rows.lanelet[first]] - reach) > params.split_gap_m
-    out: list[Wanted] = []
-    for i in np.flatnonzero(differs | gap).tolist():
-        out += _lanelet_cuts(rows, landing, texts, range(int(first[i]), int(end[i])), facts, params)
-    return out
-
-
-def _lanelet_cuts(
-    rows: Rows, landing: Ints, texts: list[list[str]], at: range, facts: LaneletFacts, params: TransferParams
-) -> list[Wanted]:
-    lanelet = int(rows.lanelet[at[0]])
-    length = float(facts.length_m[lanelet])
-    runs = [(float(rows.s_from_m[i]), float(rows.s_to_m[i]), tuple(landing[i].tolist()), i) for i in at]
-    runs = _without_short(_merged(runs), params.split_stretch_m)
-    nothing = (0,) * landing.shape[1]
-    if runs[0][0] > params.split_gap_m:
-        runs.insert(0, (0.0, runs[0][0], nothing, runs[0][3]))
-    if length - runs[-1][1] > params.split_gap_m:
-        runs.append((runs[-1][1], length, nothing, runs[-1][3]))
-    runs = _merged(runs)
-    return [
-        Wanted(lanelet, (a[1] + b[0]) * 0.5, b[3], _change(a[2], b[2], texts)) for a, b in zip(runs, runs[1:])
-    ]
-
-
-_Run = tuple[float, float, tuple[int, ...], int]
-
-
-def _merged(runs: list[_Run]) -> list[_Run]:
-    """Neighbouring runs of equal values become one."""
-    out = [runs[0]]
-    for run in runs[1:]:
-        last = out[-1]
-        if run[2] == last[2]:
-            out[-1] = (last[0], max(last[1], run[1]), last[2], last[3])
-        else:
-            out.append(run)
-    return out
-
-
-def _without_short(runs: list[_Run], least_m: float) -> list[_Run]:
-    """Runs shorter than `least_m` left out, the shortest first; one always stays."""
-    while len(runs) > 1:
-        i = min(range(len(runs)), key=lambda k: (runs[k][1] - runs[k][0], k))
-        if runs[i][1] - runs[i][0] >= least_m:
-            break
-        runs = _merged(runs[:i] + runs[i + 1 :])
-    return runs
-
-
-def _change(a: tuple[int, ...], b: tuple[int, ...], texts: list[list[str]]) -> str:
-    """Which values change, in words."""
-    parts = [f"{texts[j][0]} {texts[j][x]} | {texts[j][y]}" for j, (x, y) in enumerate(zip(a, b)) if x != y]
-    return "; ".join(parts)
 
 
 def plan_cuts(
@@ -202,7 +118,7 @@ class _Planner:
         self.plan = CutPlan({}, {}, [])
         self.uncuttable = uncuttable_ways(lanelet_map, facts.lanelets)
         self.node_rows = node_rows(lanelet_map.document)
-        self.lines: dict[int, _Line] = {}
+        self.lines: dict[int, Line] = {}
 
     def cut_group(self, members: list[int], wanted: list[Wanted]) -> None:
         """Add the cuts of one carriageway to the plan."""
@@ -248,31 +164,36 @@ class _Planner:
                     if other not in group.lanelet_sign:
                         group.lanelet_sign[other] = sign * side
                         todo.append(other)
+        for k, sign in group.lanelet_sign.items():
+            if self.facts.drawn_way[k] >= 0:
+                group.way_sign[int(self.facts.drawn_way[k])] = -sign if self.facts.drawn_inverted[k] else sign
         return group
 
     def _problem(self, group: _Group) -> str:
         """Why this carriageway must stay whole; "" when it may be cut."""
         if any(self.uncuttable[w] for w in group.way_sign):
             return "a bound of the carriageway cannot be cut: it serves a rule, or passes a node twice"
+        if any(self.facts.drawn_way[k] == -2 for k in group.lanelet_sign):
+            return "a drawn centreline of the carriageway serves more than one lanelet or is not whole"
         if not self.params.split_closed and not all(self.facts.open_to_cars[k] for k in group.lanelet_sign):
             return "a lanelet closed to cars shares the carriageway"
         return ""
 
-    def _line(self, way: int) -> _Line:
+    def _line(self, way: int) -> Line:
         if way not in self.lines:
             a, b = (int(x) for x in self.map.document.ways.offset[way : way + 2])
             xy = self.map.xyz_m[self.node_rows[a:b], :2]
             along = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(xy, axis=0).T))])
-            self.lines[way] = _Line(xy, along)
+            self.lines[way] = Line(xy, along)
         return self.lines[way]
 
-    def _bounds(self, k: int) -> tuple[_Line, _Line]:
+    def _bounds(self, k: int) -> tuple[Line, Line]:
         """Left and right bound of a lanelet, along it."""
         lanelets = self.facts.lanelets
         left, right = self._line(int(lanelets.left_way[k])), self._line(int(lanelets.right_way[k]))
         return (
-            _turned(left) if lanelets.left_inverted[k] else left,
-            _turned(right) if lanelets.right_inverted[k] else right,
+            turned(left) if lanelets.left_inverted[k] else left,
+            turned(right) if lanelets.right_inverted[k] else right,
         )
 
     def _shares(self, k: int) -> tuple[Floats, Floats]:
@@ -281,7 +202,7 @@ class _Planner:
         share = np.unique(
             np.concatenate([left.along_m / left.along_m[-1], right.along_m / right.along_m[-1]])
         )
-        middle = (_at_share(left, share) + _at_share(right, share)) * 0.5
+        middle = (at_share(left, share) + at_share(right, share)) * 0.5
         return np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(middle, axis=0).T))]), share
 
     def _places(self, group: _Group, wanted: list[Wanted]) -> list[tuple[float, Wanted]]:
@@ -307,7 +228,7 @@ class _Planner:
         """The cuts of a way in its own direction."""
         line = self._line(way)
         own = sorted(s if sign > 0 else 1.0 - s for s in shares)
-        return [_place(line, s, max(self.params.split_snap_m, VERTEX_M)) for s in own]
+        return [place(line, s, max(self.params.split_snap_m, VERTEX_M)) for s in own]
 
     def _harm(self, group: _Group, shares: list[float]) -> str:
         """Why these cuts would do harm; "" when they do none."""
@@ -315,7 +236,7 @@ class _Planner:
         for way, places in cuts.items():
             along = [c.along_m for c in places]
             total = float(self._line(way).along_m[-1])
-            inner = min((b - a for a, b in zip(along, along[1:])), default=PIECE_MIN_M)
+            inner = min((b - a for a, b in pairwise(along)), default=PIECE_MIN_M)
             if min(along[0], total - along[-1]) < min(self.params.split_end_distance_m, 0.25 * total):
                 return "a bound of the carriageway would be cut too near to its end"
             if inner < PIECE_MIN_M or along[0] < PIECE_MIN_M or total - along[-1] < PIECE_MIN_M:
@@ -328,12 +249,12 @@ class _Planner:
         """All pieces of a lanelet are simple areas, unless the whole was none."""
         lanelets = self.facts.lanelets
         left, right = self._bounds(k)
-        if not shapely.is_valid(_area([left.xy_m, right.xy_m[::-1]])):
+        if not shapely.is_valid(area([left.xy_m, right.xy_m[::-1]])):
             return True
-        at_left = _own_places(cuts[int(lanelets.left_way[k])], left, bool(lanelets.left_inverted[k]))
-        at_right = _own_places(cuts[int(lanelets.right_way[k])], right, bool(lanelets.right_inverted[k]))
-        pieces = zip(_pieces(left, at_left), _pieces(right, at_right), strict=True)
-        areas = [_area([a, b[::-1]]) for a, b in pieces]
+        at_left = own_places(cuts[int(lanelets.left_way[k])], left, bool(lanelets.left_inverted[k]))
+        at_right = own_places(cuts[int(lanelets.right_way[k])], right, bool(lanelets.right_inverted[k]))
+        both = zip(pieces(left, at_left), pieces(right, at_right), strict=True)
+        areas = [area([a, b[::-1]]) for a, b in both]
         return bool(np.all(shapely.is_valid(areas)) and np.all(shapely.area(areas) > 0.0))
 
     def _accept(self, group: _Group, accepted: list[tuple[float, Wanted]]) -> None:
@@ -344,52 +265,9 @@ class _Planner:
         for k, sign in group.lanelet_sign.items():
             along, share = self._shares(k)
             left, right = self._bounds(k)
-            at_left = _own_places(cuts[int(lanelets.left_way[k])], left, bool(lanelets.left_inverted[k]))
-            at_right = _own_places(cuts[int(lanelets.right_way[k])], right, bool(lanelets.right_inverted[k]))
+            at_left = own_places(cuts[int(lanelets.left_way[k])], left, bool(lanelets.left_inverted[k]))
+            at_right = own_places(cuts[int(lanelets.right_way[k])], right, bool(lanelets.right_inverted[k]))
             mean = (np.array(at_left) / left.along_m[-1] + np.array(at_right) / right.along_m[-1]) * 0.5
             causes = [w for _, w in sorted(accepted, key=lambda a: a[0] * sign)]
             places = np.interp(mean, share, along).tolist()
             self.plan.lanelets[k] = [LaneletCut(s, w) for s, w in zip(places, causes, strict=True)]
-
-
-def _turned(line: _Line) -> _Line:
-    return _Line(line.xy_m[::-1], (line.along_m[-1] - line.along_m)[::-1])
-
-
-def _at_share(line: _Line, share: Floats) -> Floats:
-    """(n, 2) points at shares of the line's length."""
-    at = share * line.along_m[-1]
-    return np.stack([np.interp(at, line.along_m, line.xy_m[:, i]) for i in (0, 1)], axis=1)
-
-
-def _place(line: _Line, share: float, snap_m: float) -> WayCut:
-    """The cut at a share of the line's length, moved to an inner vertex within `snap_m`."""
-    at = share * float(line.along_m[-1])
-    if len(line.along_m) > 2:
-        inner = 1 + int(np.argmin(np.abs(line.along_m[1:-1] - at)))
-        if abs(float(line.along_m[inner]) - at) <= snap_m:
-            return WayCut(inner, 0.0, float(line.along_m[inner]))
-    i = int(np.clip(np.searchsorted(line.along_m, at, side="right") - 1, 0, len(line.along_m) - 2))
-    gap = float(line.along_m[i + 1] - line.along_m[i])
-    return WayCut(i, (at - float(line.along_m[i])) / gap if gap else 0.5, at)
-
-
-def _own_places(cuts: list[WayCut], line: _Line, inverted: bool) -> list[float]:
-    """Metres along the lanelet's bound of the cuts of its way."""
-    if not inverted:
-        return [c.along_m for c in cuts]
-    return [float(line.along_m[-1]) - c.along_m for c in reversed(cuts)]
-
-
-def _pieces(line: _Line, at: list[float]) -> list[Floats]:
-    """The line cut at the given metres."""
-    stops = [0.0, *at, float(line.along_m[-1])]
-    out = []
-    for a, b in zip(stops, stops[1:]):
-        inner = line.along_m[(line.along_m > a) & (line.along_m < b)]
-        out.append(_at_share(line, np.concatenate([[a], inner, [b]]) / line.along_m[-1]))
-    return out
-
-
-def _area(parts: list[Floats]) -> shapely.Polygon:
-    return shapely.Polygon(np.concatenate(parts))

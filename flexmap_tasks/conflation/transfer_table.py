@@ -18,9 +18,9 @@ from flexmap_tasks.conflation.osm_values import (
 )
 from flexmap_tasks.model.arrays import Bools, Floats, Ints
 from flexmap_tasks.model.conflation import Matches
-from flexmap_tasks.model.lanelets import centrelines, lanelets_of, lengths_m
+from flexmap_tasks.model.lanelets import Polylines, centrelines, lanelets_of, lengths_m
 from flexmap_tasks.model.maps import LaneletMap, Lanelets, PlacedRoads
-from flexmap_tasks.model.osm import Tags, rows_of
+from flexmap_tasks.model.osm import OsmDocument, Tags, rows_of
 
 OPEN_SUBTYPES = ("", "road", "highway", "play_street", "exit")
 """Subtypes that Lanelet2 lets cars drive on."""
@@ -42,13 +42,19 @@ class Decision:
 class LaneletFacts:
     """What transfer needs to know of every lanelet, by row of `lanelets`.
 
-    open_to_cars : (k,) bool; length_m : (k,) float64 of the centreline
+    open_to_cars : (k,) bool
+    centreline : (k,) lines; length_m : (k,) float64, their lengths in the plane
+    drawn_way : (k,) int64 row of the way that is its member `centerline`, -1 for none, -2 where several share
+    one; drawn_inverted : (k,) bool, it runs against the lanelet
     tags : of the lanelets, in the same rows
     """
 
     lanelets: Lanelets
     open_to_cars: Bools
+    centreline: Polylines
     length_m: Floats
+    drawn_way: Ints
+    drawn_inverted: Bools
     tags: Tags
 
 
@@ -74,16 +80,15 @@ class Rows:
 
     def take(self, at: Ints | Bools) -> Rows:
         """The given rows."""
-        columns = (
-            self.lanelet,
-            self.s_from_m,
-            self.s_to_m,
-            self.road,
-            self.sense,
-            self.confidence,
-            self.sure,
+        return Rows(
+            self.lanelet[at],
+            self.s_from_m[at],
+            self.s_to_m[at],
+            self.road[at],
+            self.sense[at],
+            self.confidence[at],
+            self.sure[at],
         )
-        return Rows(*(c[at] for c in columns))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -103,7 +108,42 @@ def facts_of(lanelet_map: LaneletMap) -> LaneletFacts:
     lanelets = lanelets_of(lanelet_map)
     tags = lanelet_map.document.relations.tags.take(lanelets.relation_row)
     open_to_cars = np.array([_open(tags.of_element(i)) for i in range(len(lanelets))], dtype=bool)
-    return LaneletFacts(lanelets, open_to_cars, lengths_m(centrelines(lanelet_map, lanelets)), tags)
+    lines = centrelines(lanelet_map, lanelets)
+    drawn = _drawn_centrelines(lanelet_map.document, lanelets)
+    inverted = _against(lanelet_map, drawn, lines)
+    return LaneletFacts(lanelets, open_to_cars, lines, lengths_m(lines), drawn, inverted, tags)
+
+
+def _drawn_centrelines(document: OsmDocument, lanelets: Lanelets) -> Ints:
+    relations = document.relations
+    hit = np.flatnonzero((relations.member_role == "centerline") & (relations.member_type == "way"))
+    owner = np.searchsorted(relations.offset, hit, side="right") - 1
+    way = rows_of(document.ways.id, relations.member_ref[hit])
+    lanelet = rows_of(lanelets.relation_row, owner)
+    hit, way, lanelet = hit[lanelet >= 0], way[lanelet >= 0], lanelet[lanelet >= 0]
+    out = np.full(len(lanelets), -1, dtype=np.int64)
+    out[lanelet] = way
+    several = np.bincount(lanelet, minlength=len(lanelets)) > 1
+    shared = np.bincount(way[way >= 0], minlength=len(document.ways.id)) > 1
+    shared[lanelets.left_way] = shared[lanelets.right_way] = True
+    out[several | ((out >= 0) & shared[out])] = -2
+    return out
+
+
+def _against(lanelet_map: LaneletMap, drawn: Ints, lines: Polylines) -> Bools:
+    """(k,) bool: the drawn centreline runs against the lanelet, judged from end to end."""
+    out = np.zeros(len(drawn), dtype=bool)
+    has = np.flatnonzero(drawn >= 0)
+    offset, ref = lanelet_map.document.ways.offset, lanelet_map.document.ways.ref
+    has = has[np.diff(offset)[drawn[has]] > 0]
+    ends = [
+        rows_of(lanelet_map.document.nodes.id, ref[at])
+        for at in (offset[drawn[has]], offset[drawn[has] + 1] - 1)
+    ]
+    run = lanelet_map.xyz_m[ends[1]] - lanelet_map.xyz_m[ends[0]]
+    along = lines.xyz_m[lines.offset[has + 1] - 1] - lines.xyz_m[lines.offset[has]]
+    out[has] = np.einsum("ij,ij->i", run[:, :2], along[:, :2]) < 0
+    return out
 
 
 def _open(tags: Mapping[str, str]) -> bool:

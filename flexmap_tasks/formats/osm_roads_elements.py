@@ -4,24 +4,29 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from datetime import datetime
+from datetime import UTC, datetime
 from typing import NamedTuple
 
+import numpy as np
+
 from flexmap_tasks.model.arrays import Floats, Ints
+
+NO_NODE = -(2**63)
+"""Stands for a reference that is no number; never the id of a node."""
 
 
 class RoadWay(NamedTuple):
     """One state of a way; of two states the greater tuple is the newer one, in whatever order they come.
 
     version : 0 where the extract has none; timestamp : RFC 3339 UTC or ""
-    road : it is a road and not deleted; refs, tags : () unless it is one
+    road : it is a road and not deleted; without that, timestamp, refs and tags stay empty
     """
 
     version: int
     timestamp: str
     road: bool
-    refs: tuple[int, ...]
-    tags: tuple[tuple[str, str], ...]
+    refs: tuple[int, ...] = ()
+    tags: tuple[tuple[str, str], ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,36 +54,35 @@ class NewestWays:
     highways: frozenset[str]
     ways: dict[int, RoadWay] = field(default_factory=dict)
 
-    def add(
-        self,
-        way_id: int,
-        version: int,
-        timestamp: str,
-        visible: bool,
-        refs: tuple[int, ...],
-        tags: Mapping[str, str],
-    ) -> None:
+    def is_road(self, tags: Mapping[str, str]) -> bool:
+        """Vehicles drive along it: one of the highways, and no area."""
+        return tags.get("highway") in self.highways and tags.get("area") != "yes"
+
+    def add(self, way_id: int, way: RoadWay) -> None:
         """Take a state of a way into account."""
-        if visible and is_road(tags, self.highways):
-            way = RoadWay(max(version, 0), timestamp, True, refs, tuple(sorted(tags.items())))
-        else:
-            way = RoadWay(max(version, 0), timestamp, False, (), ())
         seen = self.ways.get(way_id)
         if seen is None or way > seen:
             self.ways[way_id] = way
 
 
-def is_road(tags: Mapping[str, str], highways: frozenset[str]) -> bool:
-    """Vehicles drive along it: one of the highways, and no area."""
-    return tags.get("highway") in highways and tags.get("area") != "yes"
-
-
 def utc_timestamp(text: str) -> str:
     """The instant as `2023-11-06T09:41:57Z`; "" where there is none or it says 1970 and before, which is none."""
     try:
-        moment = datetime.strptime(text, "%Y-%m-%dT%H:%M:%S%z") if text else None
-    except ValueError:
+        moment = datetime.fromisoformat(text)
+        moment = moment.astimezone(UTC) if moment.tzinfo else moment.replace(tzinfo=UTC)
+    except (ValueError, OverflowError):
         return ""
-    if moment is None or moment.timestamp() <= 0:
-        return ""
-    return datetime.fromtimestamp(moment.timestamp(), moment.tzinfo).strftime("%Y-%m-%dT%H:%M:%SZ")
+    return moment.strftime("%Y-%m-%dT%H:%M:%SZ") if moment.year > 1970 else ""
+
+
+def newest_nodes(ids: Ints, versions: Ints, lonlat_deg: Floats) -> tuple[Ints, Floats]:
+    """Of every node the newest state, by id, unless that has no usable position.
+
+    ids, versions : (n,) in any order; lonlat_deg : (n, 2), NaN for a deleted node
+    """
+    order = np.lexsort((lonlat_deg[:, 1], lonlat_deg[:, 0], versions, ids))
+    ids, lonlat_deg = ids[order], lonlat_deg[order]
+    newest = np.ones(len(ids), dtype=bool)
+    newest[:-1] = ids[1:] != ids[:-1]
+    usable = (np.abs(lonlat_deg) <= (180.0, 90.0)).all(axis=1)
+    return ids[newest & usable], lonlat_deg[newest & usable]

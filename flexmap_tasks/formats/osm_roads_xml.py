@@ -5,16 +5,22 @@ A document type declaration is refused where it begins, so no entity is ever def
 
 from __future__ import annotations
 
+import math
 from array import array
 from collections.abc import Iterable
-from typing import cast
 from xml.parsers import expat
 
 import numpy as np
 
 from flexmap_tasks.errors import InputError
-from flexmap_tasks.formats.osm_roads_elements import NewestWays, RoadElements, utc_timestamp
-from flexmap_tasks.model.arrays import Floats, Ints
+from flexmap_tasks.formats.osm_roads_elements import (
+    NO_NODE,
+    NewestWays,
+    RoadElements,
+    RoadWay,
+    newest_nodes,
+    utc_timestamp,
+)
 
 MAX_REMARK = 500
 
@@ -34,6 +40,8 @@ def read_xml_roads(name: str, pieces: Iterable[bytes], highways: frozenset[str])
         reason = expat.errors.messages[error.code]
         rule = f"expected OpenStreetMap XML, found {reason}; the file is damaged or cut off, fetch it again"
         raise InputError(name, rule, f"line {error.lineno}") from None
+    except (LookupError, ValueError) as error:
+        raise InputError(name, f"expected OpenStreetMap XML in UTF-8, found: {error}") from None
     return reader.finish()
 
 
@@ -51,7 +59,6 @@ class _Reader:
         self._remark: list[str] = []
         parser.StartElementHandler = self._root
         parser.StartDoctypeDeclHandler = self._refuse
-        parser.buffer_text = True
 
     def _refuse(self, *_: object) -> None:
         rule = "document type declarations and entities are refused; remove the <!DOCTYPE ...>"
@@ -59,7 +66,9 @@ class _Reader:
 
     def _root(self, tag: str, _: dict[str, str]) -> None:
         if tag != "osm":
-            rule = f"expected an OpenStreetMap document <osm>, found <{tag[:40]}>; give an .osm or .osm.pbf file"
+            rule = (
+                f"expected an OpenStreetMap document <osm>, found <{tag[:40]}>; give an .osm or .osm.pbf file"
+            )
             raise InputError(self._name, rule, f"line {self._parser.CurrentLineNumber}")
         self._parser.StartElementHandler = self._start
 
@@ -96,31 +105,32 @@ class _Reader:
     def _node(self, attributes: dict[str, str]) -> None:
         try:
             node = int(attributes["id"])
+        except (KeyError, ValueError):
+            return
+        if not NO_NODE < node < -NO_NODE:
+            return
+        try:
             lat, lon = float(attributes["lat"]), float(attributes["lon"])
         except (KeyError, ValueError):
-            if not _deleted(attributes):
-                return
-            lat = lon = float("nan")
-            node = _whole(attributes.get("id", ""))
+            lat = lon = math.nan
         if _deleted(attributes):
-            lat = lon = float("nan")
-        if -(2**63) <= node < 2**63:
-            self._id.append(node)
-            self._lat.append(lat)
-            self._lon.append(lon)
-            self._version.append(_whole(attributes.get("version", "")))
+            lat = lon = math.nan
+        self._id.append(node)
+        self._lat.append(lat)
+        self._lon.append(lon)
+        self._version.append(_version(attributes))
 
-    def _finish_way(self, way: dict[str, str]) -> None:
-        try:
-            way_id = int(way["id"])
-            refs = tuple(map(int, self._refs))
-        except (KeyError, ValueError):
+    def _finish_way(self, attributes: dict[str, str]) -> None:
+        way_id = _reference(attributes.get("id", ""))
+        if way_id == NO_NODE:
             return
-        if not -(2**63) <= way_id < 2**63:
-            return
-        stamp = utc_timestamp(way.get("timestamp", ""))
-        version = _whole(way.get("version", ""))
-        self._newest.add(way_id, version, stamp, not _deleted(way), refs, self._tags)
+        version = _version(attributes)
+        if not _deleted(attributes) and self._newest.is_road(self._tags):
+            stamp = utc_timestamp(attributes.get("timestamp", ""))
+            refs, tags = tuple(map(_reference, self._refs)), tuple(sorted(self._tags.items()))
+            self._newest.add(way_id, RoadWay(version, stamp, True, refs, tags))
+        else:
+            self._newest.add(way_id, RoadWay(version, "", False))
 
     def finish(self) -> RoadElements:
         """All that was read."""
@@ -131,27 +141,20 @@ class _Reader:
         return RoadElements(self._newest.ways, node_id, lonlat, " ".join("".join(self._remark).split()))
 
 
-def newest_nodes(ids: Ints, versions: Ints, lonlat_deg: Floats) -> tuple[Ints, Floats]:
-    """Of every node the newest state, by id, unless that has no usable position.
-
-    ids, versions : (n,) in any order; lonlat_deg : (n, 2), NaN for a deleted node
-    """
-    order = np.lexsort((lonlat_deg[:, 1], lonlat_deg[:, 0], versions, ids))
-    ids, lonlat_deg = ids[order], lonlat_deg[order]
-    newest = np.append(ids[1:] != ids[:-1], [True] * bool(len(ids))).astype(bool)
-    usable = (np.abs(lonlat_deg) <= (180.0, 90.0)).all(axis=1)
-    keep = newest & usable
-    return ids[keep], lonlat_deg[keep]
-
-
 def _deleted(attributes: dict[str, str]) -> bool:
     return attributes.get("visible") == "false" or attributes.get("action") == "delete"
 
 
-def _whole(text: str) -> int:
-    """The number in the text if it fits 32 bits, else 0."""
+def _reference(text: str) -> int:
+    """The id in the text, NO_NODE where it is no number of 64 bits."""
     try:
         number = int(text)
     except ValueError:
-        return 0
-    return cast("int", number) if abs(number) < 2**31 else 0
+        return NO_NODE
+    return number if NO_NODE < number < -NO_NODE else NO_NODE
+
+
+def _version(attributes: dict[str, str]) -> int:
+    """The version, 0 where there is none."""
+    number = _reference(attributes.get("version", "0"))
+    return number if 0 < number < 2**31 else 0

@@ -36,7 +36,7 @@ def parse_dom(data: bytes, name: str, *, lossless: bool) -> OsmDocument:
             other_position.append(place)
     read = _Reader(name, lossless)
     return OsmDocument(
-        root={str(k): str(v) for k, v in root.attrib.items()},
+        root={str(k): str(v) for k, v in root.attrib.items() if not str(k).startswith("{")},
         nodes=read.nodes(kinds["node"], position["node"]),
         ways=read.ways(kinds["way"], position["way"]),
         relations=read.relations(kinds["relation"], position["relation"]),
@@ -71,7 +71,7 @@ def _root(data: bytes, name: str) -> etree._Element:
         ) from None
     if root.tag != "osm":
         raise InputError(
-            name, f"expected an OSM file with the root element <osm>, found <{root.tag}>", "line 1"
+            name, f"expected an OSM file with the root element <osm>, found <{root.tag!s}>", "line 1"
         )
     return root
 
@@ -131,7 +131,14 @@ class _Reader:
         return out
 
     def attributes(self, elements: list[etree._Element]) -> Tags:
-        return Tags.of({str(k): str(v) for k, v in e.attrib.items() if k != "id"} for e in elements)
+        rows = [{str(k): str(v) for k, v in e.attrib.items() if k != "id"} for e in elements]
+        for element, row in zip(elements, rows, strict=True):
+            spaced = [k for k in row if k.startswith("{")]
+            if spaced and self.lossless:
+                self.fail(element, f"the attribute {spaced[0]} has a namespace; remove it")
+            for key in spaced:
+                del row[key]
+        return Tags.of(rows)
 
     def tags(self, elements: list[etree._Element]) -> Tags:
         pairs = [list(self.children(e, "tag")) for e in elements]
@@ -144,8 +151,9 @@ class _Reader:
         for child in element:
             if not isinstance(child.tag, str):
                 continue
-            if self.lossless and child.tag not in _CHILDREN[str(element.tag)]:
-                self.fail(child, f"<{child.tag}> inside <{element.tag}> is no part of a map file; remove it")
+            tag, owner = str(child.tag), str(element.tag)
+            if self.lossless and tag not in _CHILDREN[owner]:
+                self.fail(child, f"<{tag}> inside <{owner}> is no part of a map file; remove it")
             if child.tag != wanted:
                 continue
             values = tuple(child.get(n, _OPTIONAL.get(n)) for n in names)
@@ -159,7 +167,7 @@ class _Reader:
 
     def fail(self, element: etree._Element, rule: str) -> None:
         owner = element if element.tag in _CHILDREN else element.getparent()
-        label = f"{owner.tag} {owner.get('id')}" if owner is not None else str(element.tag)
+        label = f"{owner.tag!s} {owner.get('id')}" if owner is not None else str(element.tag)
         raise InputError(self.name, rule, f"line {element.sourceline} ({label})")
 
 

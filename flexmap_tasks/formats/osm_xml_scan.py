@@ -60,7 +60,15 @@ def scan(data: NDArray[np.uint8], start: int) -> Scan | None:
     size = np.zeros(len(out), dtype=np.int64)
     if not _document(data, start, out, table, size):
         return None
-    return Scan(*(column[:n] for column, n in zip(out, size.tolist(), strict=True)))
+    element, attribute, tag, item, root, text = size.tolist()
+    return Scan(
+        out.element[:element],
+        out.attribute[:attribute],
+        out.tag[:tag],
+        out.item[:item],
+        out.root[:root],
+        out.text[:text],
+    )
 
 
 _ELEMENTS, _ATTRIBUTES, _TAGS, _ITEMS, _ROOT_ATTRIBUTES, _TEXTS = range(6)
@@ -79,45 +87,9 @@ def _compiled(function: F) -> F:
     return cast("F", njit(cache=True)(function))
 
 
-def scan(data: NDArray[np.uint8], start: int) -> Scan | None:
-    """Scan from the root element at `start` to the end; None where the plain form ends.
-
-    data : (n,) uint8, the file and a final zero byte
-    """
-    # The smallest element is <a/>, the smallest attribute ' a=""': memory is bounded by the bytes there are.
-    elements = min(int(np.count_nonzero(data == ord("<"))), len(data) // 4 + 1)
-    attributes = min(int(np.count_nonzero(data == ord("="))), len(data) // 5 + 1)
-    table = np.full(1 << max(10, int(4 * attributes).bit_length()), -1, dtype=np.int32)
-    out = Scan(
-        kind=np.empty(elements, dtype=np.int8),
-        id=np.empty(elements, dtype=np.int64),
-        attribute_end=np.empty(elements, dtype=np.int64),
-        tag_end=np.empty(elements, dtype=np.int64),
-        item_end=np.empty(elements, dtype=np.int64),
-        span=np.empty((elements, 2), dtype=np.int64),
-        attribute=np.empty((attributes, 2), dtype=np.int32),
-        tag=np.empty((attributes, 2), dtype=np.int32),
-        ref=np.empty(attributes, dtype=np.int64),
-        member=np.empty((attributes, 2), dtype=np.int32),
-        root=np.empty((MAX_ATTRIBUTES, 2), dtype=np.int32),
-        text_start=np.empty(2 * attributes, dtype=np.int64),
-        text_end=np.empty(2 * attributes, dtype=np.int64),
-    )
-    hashes = np.empty(2 * attributes, dtype=np.uint64)
-    size = np.zeros(6, dtype=np.int64)  # elements, attributes, tags, items, root attributes, texts
-    if not _document(data, start, out, table, hashes, size):
-        return None
-    n, a, t, i, r, x = (int(s) for s in size)
-    return Scan(
-        out.kind[:n], out.id[:n], out.attribute_end[:n], out.tag_end[:n], out.item_end[:n], out.span[:n],
-        out.attribute[:a], out.tag[:t], out.ref[:i], out.member[:i], out.root[:r],
-        out.text_start[:x], out.text_end[:x],
-    )  # fmt: skip
-
-
 @_compiled
 def _is_name(c: int) -> bool:
-    return 97 <= c <= 122 or 65 <= c <= 90 or c == 95 or 48 <= c <= 57 or c == 45 or c == 46
+    return 97 <= c <= 122 or 65 <= c <= 90 or c == 95 or 48 <= c <= 57 or c in (45, 46)
 
 
 @_compiled
@@ -163,14 +135,14 @@ def _attribute(d: Any, i: int) -> tuple[int, int, int, int]:
 def _is(d: Any, i: int, end: int, word: Any) -> bool:
     if end - i != len(word):
         return False
-    for k in range(len(word)):
+    for k in range(len(word)):  # noqa: SIM110  (compiled)
         if d[i + k] != word[k]:
             return False
     return True
 
 
 @_compiled
-def _integer(d: Any, i: int, end: int) -> tuple[bool, int]:
+def _integer(d: Any, i: int, end: int) -> tuple[bool, Any]:
     """A plain integer of 64 bits (its lowest value left out)."""
     negative = d[i] == 45
     if negative:
@@ -191,14 +163,14 @@ def _integer(d: Any, i: int, end: int) -> tuple[bool, int]:
 def _same(d: Any, i: int, end: int, j: int, j_end: int) -> bool:
     if end - i != j_end - j:
         return False
-    for k in range(end - i):
+    for k in range(end - i):  # noqa: SIM110  (compiled)
         if d[i + k] != d[j + k]:
             return False
     return True
 
 
 @_compiled
-def _text(d: Any, i: int, end: int, text: Any, table: Any, size: Any) -> int:
+def _text(d: Any, i: int, end: int, text: Any, table: Any, size: Any) -> Any:
     """Number of a text; equal texts get the same number as a rule."""
     h = np.uint64(14695981039346656037)
     for k in range(i, end):
@@ -285,7 +257,8 @@ def _pair(d: Any, i: int, tag: Any, text: Any, table: Any, size: Any) -> int:
 @_compiled
 def _item(d: Any, i: int, member: bool, item: Any, text: Any, table: Any, size: Any) -> int:
     """`ref` of an nd, or `type`, `ref` and `role` of a member; returns what follows the element, or -1."""
-    seen_ref, ref, kind, role = False, np.int64(0), -1, -1
+    kind, role = -1, -1
+    seen_ref, ref = False, np.int64(0)
     for _ in range(3 if member else 1):
         j = _space(d, i)
         end, start, stop, i = _attribute(d, j)

@@ -13,12 +13,11 @@ from contextlib import contextmanager
 from typing import Any, BinaryIO
 
 import numpy as np
-from numpy.lib.recfunctions import structured_to_unstructured
 from numpy.typing import NDArray
 
-from flexmap_tasks.errors import InputError
+from flexmap_tasks.errors import InputError, StoreError
 from flexmap_tasks.formats.pcd_ascii import ascii_records, ascii_type
-from flexmap_tasks.formats.pcd_header import IDENTITY, PcdHeader, read_header
+from flexmap_tasks.formats.pcd_header import AXES, IDENTITY, PcdHeader, read_header
 from flexmap_tasks.formats.pcd_lzf import MAX_RATIO, REASONS, lzf_decode
 from flexmap_tasks.model.arrays import Floats
 from flexmap_tasks.model.clouds import PointCloud
@@ -127,25 +126,29 @@ class PcdReader:
             return np.empty(0, np.uint8)
         packed = np.fromfile(file, np.uint8, packed_size)
         packed.flags.writeable = False
-        out = np.memmap(scratch, np.uint8, "w+", shape=(size,))
-        made = lzf_decode(packed, out.view(np.ndarray))
+        try:
+            os.posix_fallocate(scratch.fileno(), 0, size)  # writing to a mapped file on a full disk would kill us
+        except OSError as error:
+            raise no_room(error) from None
+        out = np.memmap(scratch, np.uint8, "r+", shape=(size,)).view(np.ndarray)
+        made = lzf_decode(packed, out)
         if made != size:
             reason = REASONS.get(made, f"unpacks to {made} bytes instead of {size}")
             raise InputError(self.source.name, f"the compressed data is broken: it {reason}")
-        return out.view(np.ndarray)
+        return out
 
 
 def positions(records: Records) -> Floats:
     """(n, 3) float64: x, y, z of the records."""
     out: Floats = np.empty((len(records), 3))
-    for i, axis in enumerate("xyz"):
+    for i, axis in enumerate(AXES):
         out[:, i] = records[axis]
     return out
 
 
 def to_cloud(records: Records) -> PointCloud:
     """Records as a point cloud: the other fields keep their types and their order."""
-    names = [n for n in records.dtype.names or () if n not in ("x", "y", "z")]
+    names = [n for n in records.dtype.names or () if n not in AXES]
     return PointCloud(positions(records), {n: np.ascontiguousarray(records[n]) for n in names})
 
 
@@ -161,15 +164,15 @@ def pcd_bytes(cloud: PointCloud) -> bytes:
 
     Raises ValueError when a coordinate is beyond what float32 can hold.
     """
-    columns = {"x": cloud.xyz_m[:, 0], "y": cloud.xyz_m[:, 1], "z": cloud.xyz_m[:, 2], **cloud.fields}
+    columns = {**{axis: cloud.xyz_m[:, i] for i, axis in enumerate(AXES)}, **cloud.fields}
     types = [
-        (n, np.dtype("<f4") if n in "xyz" else v.dtype.newbyteorder("<"), v.shape[1:])
+        (n, np.dtype("<f4") if n in AXES else v.dtype.newbyteorder("<"), v.shape[1:])
         for n, v in columns.items()
     ]
     records = np.empty(len(cloud), np.dtype(types))
     for name, values in columns.items():
         records[name] = values
-    if not np.isfinite(structured_to_unstructured(records[["x", "y", "z"]])).all():
+    if not all(np.isfinite(records[axis]).all() for axis in AXES):
         raise ValueError("a coordinate that float32 cannot hold")
     kinds = [np.dtype(t) for _, t, _ in types]
     counts = [int(np.prod(s, dtype=np.int64)) for _, _, s in types]
@@ -182,6 +185,12 @@ def pcd_bytes(cloud: PointCloud) -> bytes:
         f"WIDTH {len(cloud)}\nHEIGHT 1\nVIEWPOINT 0 0 0 1 0 0 0\nPOINTS {len(cloud)}\nDATA binary\n"
     )
     return header.encode("ascii") + records.tobytes()
+
+
+def no_room(error: OSError) -> StoreError:
+    """The error of a full folder for temporary files."""
+    folder, reason = tempfile.gettempdir(), error.strerror or error
+    return StoreError(f"{folder}: no room for the points of a cloud ({reason}); set TMPDIR to a larger folder")
 
 
 @contextmanager

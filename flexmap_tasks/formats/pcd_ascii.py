@@ -11,7 +11,7 @@ import pyarrow.csv as pc
 from numpy.typing import NDArray
 
 from flexmap_tasks.errors import InputError
-from flexmap_tasks.formats.pcd_header import PcdHeader
+from flexmap_tasks.formats.pcd_header import AXES, PcdHeader
 from flexmap_tasks.model.source import Source
 
 BLOCK_BYTES = 16 * 1024 * 1024
@@ -25,7 +25,7 @@ def ascii_type(header: PcdHeader) -> np.dtype[Any]:
     """Type of the records of an ASCII file: packed, coordinates in float64."""
     return np.dtype(
         [
-            (f.name, "<f8" if f.name in ("x", "y", "z") else f.dtype, f.shape)
+            (f.name, "<f8" if f.name in AXES else f.dtype, f.shape)
             for f in header.fields
             if not f.padding
         ]
@@ -94,7 +94,7 @@ def _columns(header: PcdHeader) -> dict[str, pa.DataType]:
     types: dict[str, pa.DataType] = {}
     for field in header.fields:
         for _ in range(field.count):
-            kind = pa.from_numpy_dtype(np.dtype("f8") if field.name in ("x", "y", "z") else field.dtype)
+            kind = pa.from_numpy_dtype(np.dtype("f8") if field.name in AXES else field.dtype)
             types[str(len(types))] = pa.binary() if field.padding else kind
     return types
 

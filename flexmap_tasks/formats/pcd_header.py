@@ -14,6 +14,7 @@ from flexmap_tasks.model.source import Source
 ENCODINGS = ("ascii", "binary", "binary_compressed")
 IDENTITY = (0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
 PADDING = "_"
+AXES = ("x", "y", "z")
 MAX_HEADER_BYTES = 64 * 1024
 MAX_POINT_BYTES = 64 * 1024
 _KEYS = ("VERSION", "FIELDS", "SIZE", "TYPE", "COUNT", "WIDTH", "HEIGHT", "VIEWPOINT", "POINTS", "DATA")
@@ -180,8 +181,8 @@ class _Entries:
         double = {n for n in names if names.count(n) > 1}
         if double:
             raise self._error("FIELDS", f"field {min(double)[:40]!r} stands twice")
-        axes = {f.name: f for f in fields if f.name in ("x", "y", "z")}
-        missing = [a for a in "xyz" if a not in axes]
+        axes = {f.name: f for f in fields if f.name in AXES}
+        missing = [a for a in AXES if a not in axes]
         if missing:
             raise self._error("FIELDS", f"a point needs the fields x, y and z; missing: {', '.join(missing)}")
         bad = [a for a, f in axes.items() if f.dtype.kind != "f" or f.count != 1]

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from flexmap_tasks.errors import StoreError
-from flexmap_tasks.formats.pcd import Records
+from flexmap_tasks.formats.pcd import Records, no_room
 from flexmap_tasks.model.arrays import Ints
 
 
@@ -30,10 +30,7 @@ class Spill:
             self._file.seek(start * self.record_type.itemsize)
             self._file.write(records.view(np.uint8).data)
         except OSError as error:
-            folder = tempfile.gettempdir()
-            raise StoreError(
-                f"{folder}: no room for the points of a cloud ({error.strerror}); set TMPDIR"
-            ) from None
+            raise no_room(error) from None
         self._rows += len(records)
         return start
 

@@ -3,9 +3,28 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import ClassVar
 
-from flexmap_tasks.model.arrays import Floats, Ints, Strings
+from flexmap_tasks.model.arrays import Bools, Floats, Ints, Strings
 from flexmap_tasks.model.maps import Findings, LaneletMap
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CenterlineMembers:
+    """Which lanelets a centreline stands for, each over the centreline's whole length.
+
+    centerline : (k,) int64, row of the centreline; lanelet_id : (k,) int64, every lane of the map once
+    direction : (k,) int64, +1 forward, -1 backward
+    lane : (k,) int64, 0 for the lane nearest to the middle of the road, growing outwards, per direction
+    """
+
+    centerline: Ints
+    lanelet_id: Ints
+    direction: Ints
+    lane: Ints
+
+    def __len__(self) -> int:
+        return len(self.lanelet_id)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -13,19 +32,20 @@ class Centerlines:
     """Adjacent lanelets collapsed to one line each, connected where the lanelets are.
 
     offset : (c + 1,) int64 into the vertices; xy_m : (m, 2) float64, in the direction of the forward lanelets
-    node : (m,) int64, equal where two centrelines share a point
-    member_centerline : (k,) int64, the centreline a lanelet belongs to
-    member_lanelet_id : (k,) int64; member_direction : (k,) int64, +1 forward, -1 backward
-    member_lane : (k,) int64, 0 for the lane nearest to the middle of the road, growing outwards
+    node : (m,) int64, equal where centrelines are connected; connected ends are the same point unless they
+    lie further apart than `connect_distance_m`
+    members : the lanelets, ordered by centreline and from left to right across it
     """
+
+    lists: ClassVar[tuple[str, ...]] = ("xy_m", "node")
 
     offset: Ints
     xy_m: Floats
     node: Ints
-    member_centerline: Ints
-    member_lanelet_id: Ints
-    member_direction: Ints
-    member_lane: Ints
+    members: CenterlineMembers
+
+    def __len__(self) -> int:
+        return len(self.offset) - 1
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -60,6 +80,35 @@ class Matches:
 
     def __len__(self) -> int:
         return len(self.lanelet_id)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class References:
+    """What was matched as a whole: reference polylines of buffer growing, or paths of the global matcher.
+
+    reference : (r,) int64, 0 to r - 1; length_m : (r,) float64, metres
+    matched : (r,) bool; score : (r,) float64, NaN where unmatched
+    buffer_half_width_m : (r,) float64, half width of the buffer that found the match, NaN where there is none
+    candidates : (r,) int64, candidates that passed the exclusion limits
+    """
+
+    reference: Ints
+    length_m: Floats
+    matched: Bools
+    score: Floats
+    buffer_half_width_m: Floats
+    candidates: Ints
+
+    def __len__(self) -> int:
+        return len(self.reference)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Matched:
+    """What matching returns: the decision for every metre of every lane, and the polylines it was made with."""
+
+    matches: Matches
+    references: References
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import ClassVar
 
 from flexmap_tasks.model.arrays import Bools, Floats, Ints, Strings, require
 from flexmap_tasks.model.osm import OsmDocument, Tags
@@ -76,8 +77,11 @@ class RoadNetwork:
     way_id, version : (w,) int64; timestamp : (w,) str, RFC 3339 UTC or "" where the extract has none
     offset : (w + 1,) int64 into the vertices; node_id : (m,) int64
     lonlat_deg : (m, 2) float64, WGS84
-    tags : all tags of every way
+    tags : all tags of every way, keys in order
+    note : (w,) str, what had to be repaired, "" where nothing; None where nobody looked
     """
+
+    lists: ClassVar[tuple[str, ...]] = ("node_id", "lonlat_deg")
 
     way_id: Ints
     version: Ints
@@ -86,9 +90,31 @@ class RoadNetwork:
     node_id: Ints
     lonlat_deg: Floats
     tags: Tags
+    note: Strings | None = None
 
     def __len__(self) -> int:
         return len(self.way_id)
+
+    def __post_init__(self) -> None:
+        n, m = len(self.way_id), len(self.node_id)
+        columns = (self.version, self.timestamp, self.tags, self.offset[1:])
+        require(all(len(c) == n for c in columns), "road columns differ in length")
+        require(self.lonlat_deg.shape == (m, 2) and self.offset[-1] == m, "one position per vertex of a road")
+
+
+@dataclass(frozen=True, slots=True)
+class GeoBox:
+    """A box on the WGS84 ellipsoid that does not cross the antimeridian, degrees."""
+
+    west_deg: float
+    south_deg: float
+    east_deg: float
+    north_deg: float
+
+    def __str__(self) -> str:
+        return (
+            f"lat {self.south_deg:.4f} to {self.north_deg:.4f}, lon {self.west_deg:.4f} to {self.east_deg:.4f}"
+        )
 
 
 @dataclass(frozen=True, slots=True, eq=False)

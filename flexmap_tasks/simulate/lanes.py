@@ -59,7 +59,6 @@ class LaneNetwork:
 
     xyz : (n, 3) points; strips in a fixed order; followers : per strip the strips after it
     trims : (road, at_end) -> metres of the road's line that belong to the junction
-    line_kind : (first point, last point of a lane's line) -> how it is painted
     """
 
     network: Network
@@ -145,7 +144,6 @@ def _road_strips(
         if road.backward:
             offsets, kinds = [offsets[0] + extra[1], *offsets], [extra[0], *kinds]
     rows = [build.add(lines.shifted(line, network.side * float(o))) for o in offsets]
-    split = sum(k != "shoulder" and k != "bicycle" for k in kinds[: len(kinds)])
     split = road.backward + (1 if road.backward and kinds[0] in ("bicycle", "shoulder") else 0)
     strips = []
     for k, kind in enumerate(kinds):
@@ -178,9 +176,7 @@ def _junction(
     for (a, b), turn in angle.items():
         from_ids = ends[a[0], 1 if a[1] else -1]
         to_ids = ends[b[0], -1 if b[1] else 1]
-        main = abs(turn) <= min(
-            [abs(v) for (p, q), v in angle.items() if p == a or q == b]
-        )
+        main = abs(turn) <= min(abs(v) for (p, q), v in angle.items() if p == a or q == b)
         first = sorted(from_ids, key=lambda k: lanes.strips[k].lane)
         second = sorted(to_ids, key=lambda k: lanes.strips[k].lane)
         for x, y in _pairs(len(first), len(second), turn, main):
@@ -200,17 +196,16 @@ def _turn(
     build: _Builder, lanes: LaneNetwork, a: int, b: int, node: int, turn: float, spacing_m: float
 ) -> None:
     """One strip through the junction; its bounds are shared with turns between the same points."""
-    xyz = np.vstack(build.points) if len(build.points) > 1 else build.points[0]
-    build.points = [xyz]
-    first, second = lanes.strips[a], lanes.strips[b]
+    xyz, first, second = lanes.xyz, lanes.strips[a], lanes.strips[b]
     way_in = lines.tangents(xyz[first.left[-2:]])[-1]
     way_out = lines.tangents(xyz[second.left[:2]])[0]
-    chords = [float(np.hypot(*(xyz[t] - xyz[f])[:2])) for f, t in ((first.left[-1], second.left[0]), (first.right[-1], second.right[0]))]
+    ends = [(int(first.left[-1]), int(second.left[0])), (int(first.right[-1]), int(second.right[0]))]
+    chords = [float(np.hypot(*(xyz[t] - xyz[f])[:2])) for f, t in ends]
     if min(chords) < 0.3:
         return
     n = max(4, int(np.ceil(max(chords) * 1.15 / min(spacing_m, 2.5))) + 1)
     sides = []
-    for f, t in ((int(first.left[-1]), int(second.left[0])), (int(first.right[-1]), int(second.right[0]))):
+    for f, t in ends:
         if (f, t) not in build.curves or len(build.curves[f, t]) != n:
             curve = lines.bezier(xyz[f, :2], way_in, xyz[t, :2], way_out, spacing_m, n)
             z = np.linspace(xyz[f, 2], xyz[t, 2], n)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import errno
 import os
 import secrets
@@ -65,7 +66,8 @@ class FolderBackend:
         except OSError as error:
             raise _explain(error, self.root) from error
         finally:
-            temporary.unlink(missing_ok=True)
+            with contextlib.suppress(OSError):
+                temporary.unlink()
 
     def size(self, key: str) -> int | None:
         """See Backend."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Iterable
 from dataclasses import dataclass, field
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -125,7 +126,12 @@ class Record:
 
 
 def ros_record(topic: str, log_ns: int, message: Any, little: bool = True) -> Record:
-    return Record(topic, message.__msgtype__, log_ns, cdr(message, little))
+    return Record(topic, message.__msgtype__, log_ns, cdr(message, little), schema=definition(message.__msgtype__))
+
+
+@cache
+def definition(kind: str) -> bytes:
+    return ROS.generate_msgdef(kind, ros_version=2)[0].encode()
 
 
 def write(path: Path, records: Iterable[Record], layout: Layout | None = None) -> Path:

@@ -1,0 +1,142 @@
+"""Control points: the user's pairs, found on both tracks and checked."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from flexmap_tasks.config import ControlPointsParams
+from flexmap_tasks.engine.stage import stage
+from flexmap_tasks.errors import AlignmentError
+from flexmap_tasks.formats.control_points_csv import ControlPointLine, read_control_points
+from flexmap_tasks.model.alignment import ControlPoints, RigidMotion
+from flexmap_tasks.model.arrays import Floats, strings
+from flexmap_tasks.model.projection import Projection
+from flexmap_tasks.model.source import Source
+from flexmap_tasks.model.tracks import GnssTrack, Trajectory
+
+MIN_POINTS = 3
+"""Fewer do not say how the plane is bent."""
+
+SAME_PLACE_M = 1e-3
+"""Two points nearer than this are one."""
+
+COLLINEAR_SHARE = 1e-3
+"""Points that leave their best line by less than this share of their length lie on it."""
+
+
+@stage("control_points")
+def control_points(
+    source: Source,
+    slam: Trajectory,
+    gnss: GnssTrack,
+    motion: RigidMotion,
+    projection: Projection,
+    params: ControlPointsParams,
+) -> ControlPoints:
+    """The pairs of the user's file, both sides in the map frame, the source after the rigid start.
+
+    Raises AlignmentError, with line and name, for fewer than three pairs in use, pairs on one line, the
+    same place used twice, a row that a track does not have, and pairs too far apart to belong together.
+    """
+    lines = read_control_points(source)
+    sources = np.array([_source_xy(source, line, slam, motion, projection) for line in lines])
+    targets = np.array([_target_xy(source, line, gnss, projection) for line in lines])
+    used = np.array([line.use for line in lines])
+    points = ControlPoints(
+        label=strings(line.name for line in lines),
+        source_xy_m=sources,
+        target_xy_m=targets,
+        sigma_m=np.array([params.sigma_m if line.sigma_m is None else line.sigma_m for line in lines]),
+        used=used,
+        reason=strings("given by the user" if line.use else "excluded by the user" for line in lines),
+    )
+    kept = [line for line in lines if line.use]
+    _check_count(source, len(kept))
+    _check_distances(source, kept, points, params.max_rigid_distance_m)
+    _check_doubled(source, kept, points.source_xy_m[used], "source")
+    _check_doubled(source, kept, points.target_xy_m[used], "target")
+    _check_collinear(source, points.source_xy_m[used])
+    return points
+
+
+def _source_xy(
+    source: Source, line: ControlPointLine, slam: Trajectory, motion: RigidMotion, projection: Projection
+) -> Floats:
+    kind, values = line.source.kind, line.source.values
+    if kind == "source_row":
+        row = _row(source, line, values[0], len(slam), "the SLAM trajectory")
+        return motion.apply_xy(slam.xyz_m[row : row + 1])[0]
+    if kind == "source_x_m":
+        return motion.apply_xy(np.array([values]))[0]
+    return np.array(values) if kind == "source_map_x_m" else _project(source, line, projection, values)
+
+
+def _target_xy(source: Source, line: ControlPointLine, gnss: GnssTrack, projection: Projection) -> Floats:
+    kind, values = line.target.kind, line.target.values
+    if kind != "target_row":
+        return np.array(values) if kind == "target_x_m" else _project(source, line, projection, values)
+    row = _row(source, line, values[0], int(gnss.row[-1]) + 1, "the GNSS recording")
+    at = np.flatnonzero(gnss.row == row)
+    if len(at) == 0:
+        raise AlignmentError(source.name, f"row {row} of the GNSS recording has no position", line.where)
+    xy: Floats = gnss.xyz_m[at[0], :2]
+    return xy
+
+
+def _row(source: Source, line: ControlPointLine, value: float, rows: int, track: str) -> int:
+    if value >= rows:
+        raise AlignmentError(
+            source.name, f"row {value:.0f} is beyond {track}, whose last row is {rows - 1}", line.where
+        )
+    return int(value)
+
+
+def _project(
+    source: Source, line: ControlPointLine, projection: Projection, latlon: tuple[float, ...]
+) -> Floats:
+    xy: Floats = projection.to_xy_m(np.array([[latlon[1], latlon[0]]]))[0]
+    if not np.isfinite(xy).all():
+        raise AlignmentError(
+            source.name, f"{latlon[0]:g}, {latlon[1]:g} lies outside of UTM zone {projection.zone}", line.where
+        )
+    return xy
+
+
+def _check_count(source: Source, count: int) -> None:
+    if count < MIN_POINTS:
+        raise AlignmentError(
+            source.name, f"has {count} control points in use; a rubber sheet needs at least {MIN_POINTS}"
+        )
+
+
+def _check_distances(source: Source, kept: list[ControlPointLine], points: ControlPoints, limit: float) -> None:
+    gap = np.hypot(*(points.source_xy_m - points.target_xy_m)[points.used].T)
+    worst = int(gap.argmax())
+    if gap[worst] > limit:
+        raise AlignmentError(
+            source.name,
+            f"source and target lie {gap[worst]:.1f} m apart after the rigid start, over the limit of {limit:g} m "
+            "(alignment.control_points.max_rigid_distance_m); correct or exclude the pair",
+            kept[worst].where,
+        )
+
+
+def _check_doubled(source: Source, kept: list[ControlPointLine], xy_m: Floats, side: str) -> None:
+    gap = np.hypot(*(xy_m[:, None] - xy_m).transpose(2, 0, 1))
+    first, second = np.nonzero(np.triu(gap < SAME_PLACE_M, 1))
+    if len(first):
+        raise AlignmentError(
+            source.name,
+            f"has the same {side} as {kept[int(first[0])].where}; remove one of the two",
+            kept[int(second[0])].where,
+        )
+
+
+def _check_collinear(source: Source, xy_m: Floats) -> None:
+    across = np.linalg.svd(xy_m - xy_m.mean(axis=0), compute_uv=False)
+    if across[1] <= COLLINEAR_SHARE * across[0]:
+        raise AlignmentError(
+            source.name,
+            f"all {len(xy_m)} control points lie on one line; add one at least "
+            f"{COLLINEAR_SHARE:.1%} of their length beside it",
+        )

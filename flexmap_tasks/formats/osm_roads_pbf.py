@@ -1,0 +1,74 @@
+"""Roads from OpenStreetMap PBF through libosmium: the ways first, then the nodes they need."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+import osmium
+
+from flexmap_tasks.errors import InputError
+from flexmap_tasks.formats.osm_roads_elements import (
+    NewestWays,
+    RoadElements,
+    RoadWay,
+    newest_nodes,
+    utc_timestamp,
+)
+from flexmap_tasks.model.source import Source
+
+REFERENCES_PER_BYTE = 8
+"""Real files hold less than one reference to a node per byte; compressed zeros hold hundreds."""
+
+
+def read_pbf_roads(source: Source, highways: frozenset[str]) -> RoadElements:
+    """The roads of a PBF file; raises InputError when it is damaged."""
+    try:
+        newest = _ways(source, highways)
+        wanted = {ref for way in newest.ways.values() for ref in way.refs}
+        nodes = [_position(node) for node in _elements(source, osmium.osm.NODE) if node.id in wanted]
+    except InputError:
+        raise
+    except (RuntimeError, ValueError) as error:
+        rule = f"the OpenStreetMap PBF is damaged or cut off ({str(error)[:200]}); fetch it again"
+        raise InputError(source.name, rule) from None
+    ids, versions = (np.array([row[i] for row in nodes], dtype=np.int64) for i in (0, 1))
+    lonlat = np.array([row[2:] for row in nodes], dtype=np.float64).reshape(-1, 2)
+    return RoadElements(newest.ways, *newest_nodes(ids, versions, lonlat), "")
+
+
+def _ways(source: Source, highways: frozenset[str]) -> NewestWays:
+    newest = NewestWays(highways)
+    budget = 1_000_000 + REFERENCES_PER_BYTE * source.path.stat().st_size
+    for way in _elements(source, osmium.osm.WAY):
+        version = max(way.version, 0)
+        newest.add(way.id, RoadWay(version, "", False))
+        if not way.visible or way.tags.get("highway") not in highways:
+            continue
+        budget -= len(way.nodes)
+        if budget < 0:
+            rule = "the file claims far more nodes than its size can hold; it is no OpenStreetMap extract"
+            raise InputError(source.name, rule, f"way {way.id}")
+        tags = {tag.k: tag.v for tag in way.tags}
+        if newest.is_road(tags):
+            refs = tuple(node.ref for node in way.nodes)
+            newest.add(way.id, RoadWay(version, _stamp(way), True, refs, tuple(sorted(tags.items()))))
+    return newest
+
+
+def _elements(source: Source, kind: Any) -> Iterator[Any]:
+    """All elements of a kind; libosmium's own filter by id would take memory by the size of the ids."""
+    return iter(osmium.FileProcessor(osmium.io.File(str(source.path), "pbf"), kind))
+
+
+def _position(node: Any) -> tuple[int, int, float, float]:
+    """Id, version, longitude and latitude; NaN where the node is deleted or nowhere."""
+    if node.visible and node.location.valid():
+        return node.id, max(node.version, 0), node.lon, node.lat
+    return node.id, max(node.version, 0), math.nan, math.nan
+
+
+def _stamp(way: Any) -> str:
+    return utc_timestamp(way.timestamp.isoformat()) if way.version > 0 else ""
