@@ -16,6 +16,7 @@ from flexmap_tasks.engine.keys import action_key, input_types, preimage
 from flexmap_tasks.engine.sources import Stamp, file_stamp, source_artifact
 from flexmap_tasks.errors import InputError
 from flexmap_tasks.formats.artifacts import decode, encode
+from flexmap_tasks.model.arrays import strings
 from flexmap_tasks.model.source import Source
 from flexmap_tasks.store.artifact import Artifact, Blob, canonical_json, digest_of
 from flexmap_tasks.store.store import ActionRecord, ArtifactFiles, Store
@@ -42,13 +43,14 @@ class Outcome:
 
 @dataclass(frozen=True, slots=True)
 class Bound:
-    """An input with its content known: an artifact under a base name, or a file from outside."""
+    """An input with its content known: an artifact under a base name, a file from outside, or bare keys."""
 
     digest: str
     artifact: Artifact
     name: str
     source: SourceRef | None = None
     stamp: Stamp | None = None
+    keys: tuple[str, ...] | None = None
 
 
 class Engine:
@@ -65,6 +67,9 @@ class Engine:
             artifact = source_artifact(self.store, ref.path)
             return Bound(artifact.digest, artifact, ref.name, ref, stamp)
         artifact = ref.select(artifacts[ref.node])
+        if ref.keys_only:
+            keys = tuple(artifact.sub(f"{ref.name}/").items())
+            return Bound(digest_of(canonical_json(keys)), artifact, ref.name, keys=keys)
         return Bound(artifact.digest, artifact, ref.name)
 
     def image(self, node: Node, bound: Mapping[str, Bound]) -> dict[str, Any]:
@@ -99,6 +104,8 @@ class Engine:
         """The value of an input; the same object when it is asked for again."""
         if bound.source is not None:
             return Source(bound.name, bound.source.path)
+        if bound.keys is not None:
+            return kind(strings(bound.keys))
         key = (bound.digest, bound.name, repr(kind))
         if key not in self._values:
             self._values[key] = decode(kind, ArtifactFiles(self.store, bound.artifact), bound.name)
@@ -110,7 +117,9 @@ class Engine:
 
     def _compute(self, node: Node, image: Mapping[str, Any], values: Mapping[str, Any]) -> ActionRecord:
         started, clock = datetime.now(UTC), time.perf_counter()
-        arguments = dict(values) if node.params is None else {**values, "params": node.params}
+        arguments = {**dict.fromkeys(input_types(node.stage)), **values}  # what is not fed is None
+        if node.params is not None:
+            arguments["params"] = node.params
         value = node.stage.function(**arguments)
         files = {path: self.store.put_blob(content) for path, content in encode(value, node.stage.artifact)}
         seconds = time.perf_counter() - clock

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -30,20 +30,26 @@ class Ref:
 
     node : name of the node; base : artifact base name
     part : field of a composite; transposed : a collection of collections with its two keys swapped
+    keys_only : of a collection only which keys it has, whatever lies behind them
     """
 
     node: str
     base: str
     part: str | None = None
     transposed: bool = False
+    keys_only: bool = False
 
     def field(self, name: str) -> Ref:
         """One field of a composite value."""
-        return Ref(self.node, self.base, name)
+        return replace(self, part=name)
 
     def transpose(self) -> Ref:
         """outer/inner files as inner/outer: regrouping without reading anything."""
-        return Ref(self.node, self.base, self.part, transposed=True)
+        return replace(self, transposed=True)
+
+    def keys(self) -> Ref:
+        """The keys of a collection: a stage that takes them reruns only when keys come or go."""
+        return replace(self, keys_only=True)
 
     def select(self, artifact: Artifact) -> Artifact:
         """What this reference means of the node's artifact."""

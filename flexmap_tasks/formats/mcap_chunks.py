@@ -12,6 +12,7 @@ import lz4.frame
 import numpy as np
 import zstandard
 
+from flexmap_tasks.formats.cdr import gather
 from flexmap_tasks.model.arrays import Ints
 
 Buffer = bytes | memoryview | mmap
@@ -23,6 +24,10 @@ GREATEST_RATIO = 256
 _HEAD = struct.Struct("<BQ")
 _FIXED = struct.Struct("<QQQII")
 MESSAGE = 0x05
+INDEX_ENTRY = 16
+"""Bytes of an entry of a message index: log time u64, offset in the unpacked chunk u64."""
+
+_RECORD = np.dtype([("opcode", "u1"), ("length", "<u8")])
 
 
 class DamagedError(Exception):
@@ -41,12 +46,18 @@ class Chunk:
     """Where a chunk stands and what its index says.
 
     begin, end : bounds of the chunk record's content in the file
-    counts : messages by channel id, from the message index behind the chunk; None where there is no index
+    index : by channel id, bounds of the entries in the message index behind the chunk; None without an index
     """
 
     begin: int
     end: int
-    counts: dict[int, int] | None
+    index: dict[int, tuple[int, int]] | None
+
+    def counts(self) -> dict[int, int] | None:
+        """Messages by channel id, as the index says."""
+        if self.index is None:
+            return None
+        return {channel: (end - begin) // INDEX_ENTRY for channel, (begin, end) in self.index.items()}
 
 
 def records(data: Buffer, begin: int, end: int) -> Iterator[tuple[int, int, int]]:
@@ -71,7 +82,7 @@ def message_bounds(data: Buffer) -> tuple[Ints, Ints]:
     starts: list[int] = []
     stops: list[int] = []
     at, end, unpack, size = 0, len(data), _HEAD.unpack_from, _HEAD.size
-    while at + size <= end:  # the hot loop of reading: one step per record
+    while at + size <= end:  # kept small: one step per record
         opcode, length = unpack(data, at)
         start = at + size
         at = start + length
@@ -81,6 +92,24 @@ def message_bounds(data: Buffer) -> tuple[Ints, Ints]:
     if at != end:
         raise DamagedError(min(at, end), "the last record of the chunk is cut off")
     return np.asarray(starts, dtype=np.int64), np.asarray(stops, dtype=np.int64)
+
+
+def indexed_bounds(unpacked: bytes, entries: bytes) -> tuple[Ints, Ints] | None:
+    """Content bounds of the messages that index entries point to, in the order of the chunk.
+
+    None where an entry points to no message: then only a walk through the chunk tells.
+    """
+    offset = np.unique(np.frombuffer(entries, dtype="<u8")[1::2])
+    if len(offset) * INDEX_ENTRY != len(entries) or (len(offset) and offset[-1] + _HEAD.size > len(unpacked)):
+        return None
+    start = offset.astype(np.int64)
+    head = gather(np.frombuffer(unpacked, dtype=np.uint8), start, _HEAD.size).view(_RECORD)
+    start += _HEAD.size
+    if (head["opcode"] != MESSAGE).any() or (
+        head["length"] > (len(unpacked) - start).astype(np.uint64)
+    ).any():
+        return None
+    return start, start + head["length"].astype(np.int64)
 
 
 def unpack_chunk(data: Buffer, chunk: Chunk) -> bytes:

@@ -20,10 +20,12 @@ import numpy as np
 from flexmap_tasks.errors import InputError
 from flexmap_tasks.formats.cdr import Bytes, gather
 from flexmap_tasks.formats.mcap_chunks import (
+    INDEX_ENTRY,
     MESSAGE,
     Buffer,
     Chunk,
     DamagedError,
+    indexed_bounds,
     message_bounds,
     records,
     unpack_chunk,
@@ -33,7 +35,6 @@ from flexmap_tasks.model.arrays import Ints
 MAGIC = b"\x89MCAP0\r\n"
 _FOOTER, _SCHEMA, _CHANNEL, _CHUNK, _MESSAGE_INDEX, _DATA_END = 0x02, 0x03, 0x04, 0x06, 0x07, 0x0F
 _MESSAGE_HEAD = 22  # channel id u16, sequence u32, log time u64, publish time u64
-_INDEX_ENTRY = 16
 _RECORD_HEAD = 9
 
 V = TypeVar("V")
@@ -105,8 +106,8 @@ class Recording:
             bounds = np.asarray(self._loose, dtype=np.int64)
             yield self._pick(np.frombuffer(self._data, dtype=np.uint8), bounds[:, 0], bounds[:, 1], channels)
         for chunk in self._chunks:
-            if chunk.counts is None or not channels.isdisjoint(chunk.counts):
-                unpacked, begin, end = self._open(chunk)
+            if chunk.index is None or not channels.isdisjoint(chunk.index):
+                unpacked, begin, end = self._open(chunk, channels)
                 yield self._pick(np.frombuffer(unpacked, dtype=np.uint8), begin, end, channels)
 
     def _walk(self) -> None:
@@ -150,9 +151,11 @@ class Recording:
         if length > end - begin - 6:
             raise DamagedError(begin, "a message index is longer than its record")
         last = self._chunks[-1]
-        counts = {} if last.counts is None else last.counts
-        counts[channel] = counts.get(channel, 0) + length // _INDEX_ENTRY
-        self._chunks[-1] = Chunk(last.begin, last.end, counts)
+        index = {} if last.index is None else last.index
+        if channel in index or length % INDEX_ENTRY:
+            raise DamagedError(begin, "a message index is damaged")
+        index[channel] = (begin + 6, begin + 6 + length)
+        self._chunks[-1] = Chunk(last.begin, last.end, index)
 
     def _define(self, opcode: int, content: bytes, at: int) -> None:
         try:
@@ -172,7 +175,7 @@ class Recording:
     def _take_stock(self) -> None:
         """Count messages by channel; open the chunks without an index and those with channels not yet known."""
         for chunk in self._chunks:
-            counts = chunk.counts
+            counts = chunk.counts()
             if counts is None or not self.channels.keys() >= counts.keys():
                 counts = self._survey(chunk)
             for channel, count in counts.items():
@@ -201,9 +204,15 @@ class Recording:
         ids, numbers = np.unique(found, return_counts=True)
         return dict(zip(ids.tolist(), numbers.tolist(), strict=True))
 
-    def _open(self, chunk: Chunk) -> tuple[bytes, Ints, Ints]:
+    def _open(self, chunk: Chunk, channels: frozenset[int] | None = None) -> tuple[bytes, Ints, Ints]:
+        """The chunk's bytes and the bounds of all its messages, or of at least those on `channels`."""
         try:
             unpacked = unpack_chunk(self._data, chunk)
+            if channels is not None and chunk.index is not None:
+                spans = [chunk.index[number] for number in sorted(channels & chunk.index.keys())]
+                bounds = indexed_bounds(unpacked, b"".join(self._data[begin:end] for begin, end in spans))
+                if bounds is not None:
+                    return unpacked, *bounds
             return unpacked, *message_bounds(unpacked)
         except DamagedError as error:
             raise self._damaged(chunk, error) from error
@@ -230,8 +239,9 @@ class Recording:
         """The error for a file that ends too early; says how much of it could be read."""
         whole = len(self._loose)
         for chunk in self._chunks:
-            if chunk.counts is not None:
-                whole += sum(chunk.counts.values())
+            counts = chunk.counts()
+            if counts is not None:
+                whole += sum(counts.values())
                 continue
             try:
                 whole += len(message_bounds(unpack_chunk(self._data, chunk))[0])

@@ -170,8 +170,9 @@ def pcd_bytes(cloud: PointCloud) -> bytes:
         for n, v in columns.items()
     ]
     records = np.empty(len(cloud), np.dtype(types))
-    for name, values in columns.items():
-        records[name] = values
+    with np.errstate(over="ignore"):  # what overflows is found below
+        for name, values in columns.items():
+            records[name] = values
     if not all(np.isfinite(records[axis]).all() for axis in AXES):
         raise ValueError("a coordinate that float32 cannot hold")
     kinds = [np.dtype(t) for _, t, _ in types]

@@ -19,6 +19,9 @@ Ints = NDArray[np.int64]
 EDGE_TOLERANCE_M = 1e-7
 """A point this far outside of a triangle still belongs to it: rounding must not open gaps at edges."""
 
+_CHUNK = 1 << 12
+"""Points handled at a time: all of their arrays stay in the processor's first cache."""
+
 _CELL_MARGIN_M = 1e-3
 """Triangles are registered in cells they nearly touch: far more than the tolerance and rounding together."""
 
@@ -57,7 +60,7 @@ def build_mesh(source: Floats, target: Floats, triangles: Ints, outside: Floats,
         return Mesh(halfplanes, affine, np.array([0.0, 0.0, 1.0, 1.0]), (1, 1), nothing, nothing)
     low = source[triangles].min(axis=(0, 1)) - 1.0
     size = source[triangles].max(axis=(0, 1)) + 1.0 - low
-    cells = float(np.clip(points / 2, 256, 1 << 20))
+    cells = float(np.clip(points / 4, 256, 1 << 18))
     edge = np.sqrt(size[0] * size[1] / cells)
     nx, ny = (int(np.clip(np.ceil(s / edge), 1, 4096)) for s in size)
     grid = np.array([low[0], low[1], nx / size[0], ny / size[1]])
@@ -83,14 +86,25 @@ def affine_maps(source: Floats, target: Floats) -> Floats:
 def move(mesh: Mesh, xyz_m: Floats) -> Floats:
     """(n, 3) points moved by the mesh; z is kept."""
     out = np.empty((len(xyz_m), 3))
-    _move(mesh.halfplanes, mesh.affine, mesh.grid, *mesh.shape, mesh.cell, mesh.lists, xyz_m, out)
+    move_into(mesh, np.ascontiguousarray(xyz_m), out)
     return out
+
+
+def move_into(mesh: Mesh, xyz_m: Floats, out: Floats) -> None:
+    """The same into memory that is there already; both arrays (n, 3) and contiguous."""
+    affine = mesh.affine.ravel()
+    rows = np.empty(min(len(xyz_m), _CHUNK), np.int64)
+    for start in range(0, len(xyz_m), _CHUNK):
+        part = xyz_m[start : start + _CHUNK]
+        _locate(mesh.halfplanes, mesh.grid, *mesh.shape, mesh.cell, mesh.lists, part, rows)
+        _move(affine, rows, part, out[start : start + _CHUNK])
 
 
 def locate(mesh: Mesh, xyz_m: Floats) -> Ints:
     """(n,) the triangle every point belongs to; the number of triangles where it is outside of all."""
     out = np.empty(len(xyz_m), np.int64)
-    _locate(mesh.halfplanes, mesh.grid, *mesh.shape, mesh.cell, mesh.lists, xyz_m, out)
+    points = np.ascontiguousarray(xyz_m)
+    _locate(mesh.halfplanes, mesh.grid, *mesh.shape, mesh.cell, mesh.lists, points, out)
     return out
 
 
@@ -167,40 +181,43 @@ def _rasterise(planes, boxes, grid, nx, ny):  # type: ignore[no-untyped-def]  # 
     return cell, lists
 
 
-@njit(cache=True, nogil=True, inline="always")  # type: ignore[untyped-decorator]
-def _find(planes, grid, nx, ny, cell, lists, x, y):  # type: ignore[no-untyped-def]  # pragma: no cover
-    u = (x - grid[0]) * grid[2]
-    v = (y - grid[1]) * grid[3]
-    if not (u >= 0.0 and v >= 0.0 and u < nx and v < ny):
-        return len(planes)
-    t = cell[int(v) * nx + int(u)]
-    if t >= 0:
-        return t
-    if t == -1:
-        return len(planes)
-    start = -2 - t
-    for k in range(start + 1, start + 1 + lists[start]):
+@njit(cache=True, nogil=True)  # type: ignore[untyped-decorator]
+def _find(planes, first, last, lists, x, y):  # type: ignore[no-untyped-def]  # pragma: no cover
+    """The first triangle of a cell's list that holds the point; -1 none."""
+    for k in range(first, last):
         p = planes[lists[k]]
         if (
             p[0, 0] * x + p[0, 1] * y + p[0, 2] >= -EDGE_TOLERANCE_M
             and p[1, 0] * x + p[1, 1] * y + p[1, 2] >= -EDGE_TOLERANCE_M
             and p[2, 0] * x + p[2, 1] * y + p[2, 2] >= -EDGE_TOLERANCE_M
         ):
-            return lists[k]
-    return len(planes)
-
-
-@njit(cache=True, nogil=True)  # type: ignore[untyped-decorator]
-def _move(planes, affine, grid, nx, ny, cell, lists, xyz, out):  # type: ignore[no-untyped-def]  # pragma: no cover
-    for n in range(len(xyz)):
-        x, y = xyz[n, 0], xyz[n, 1]
-        a = affine[_find(planes, grid, nx, ny, cell, lists, x, y)]
-        out[n, 0] = a[0, 0] * x + a[0, 1] * y + a[0, 2]
-        out[n, 1] = a[1, 0] * x + a[1, 1] * y + a[1, 2]
-        out[n, 2] = xyz[n, 2]
+            return np.int64(lists[k])
+    return np.int64(-1)
 
 
 @njit(cache=True, nogil=True)  # type: ignore[untyped-decorator]
 def _locate(planes, grid, nx, ny, cell, lists, xyz, out):  # type: ignore[no-untyped-def]  # pragma: no cover
+    x0, y0, per_x, per_y = grid[0], grid[1], grid[2], grid[3]
+    wide, high = float(nx), float(ny)
     for n in range(len(xyz)):
-        out[n] = _find(planes, grid, nx, ny, cell, lists, xyz[n, 0], xyz[n, 1])
+        x, y = xyz[n, 0], xyz[n, 1]
+        u = (x - x0) * per_x
+        v = (y - y0) * per_y
+        t = np.int64(-1)
+        if u >= 0.0 and v >= 0.0 and u < wide and v < high:
+            t = np.int64(cell[np.uint64(np.uint32(v)) * np.uint64(nx) + np.uint64(np.uint32(u))])
+            if t < -1:
+                start = -2 - t
+                t = _find(planes, start + 1, start + 1 + lists[start], lists, x, y)
+        out[n] = t if t >= 0 else len(planes)
+
+
+@njit(cache=True, nogil=True)  # type: ignore[untyped-decorator]
+def _move(affine, rows, xyz, out):  # type: ignore[no-untyped-def]  # pragma: no cover
+    """Apply the affine map affine[rows[n]], flat runs of six, to every point."""
+    for n in range(len(xyz)):
+        x, y = xyz[n, 0], xyz[n, 1]
+        k = np.uint64(6) * np.uint64(rows[n])
+        out[n, 0] = affine[k] * x + affine[k + np.uint64(1)] * y + affine[k + np.uint64(2)]
+        out[n, 1] = affine[k + np.uint64(3)] * x + affine[k + np.uint64(4)] * y + affine[k + np.uint64(5)]
+        out[n, 2] = xyz[n, 2]

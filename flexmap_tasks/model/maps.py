@@ -112,9 +112,7 @@ class GeoBox:
     north_deg: float
 
     def __str__(self) -> str:
-        return (
-            f"lat {self.south_deg:.4f} to {self.north_deg:.4f}, lon {self.west_deg:.4f} to {self.east_deg:.4f}"
-        )
+        return f"lat {self.south_deg:.4f} to {self.north_deg:.4f}, lon {self.west_deg:.4f} to {self.east_deg:.4f}"
 
 
 @dataclass(frozen=True, slots=True, eq=False)

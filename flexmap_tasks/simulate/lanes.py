@@ -15,7 +15,7 @@ from flexmap_tasks.simulate import lines
 from flexmap_tasks.simulate.roads import Network, Road
 
 BICYCLE_WIDTH_M, SHOULDER_WIDTH_M = 1.6, 2.5
-MAX_TURN_RAD = 2.9
+MAX_TURN_RAD = 2.6
 STRAIGHT_RAD = 0.6
 
 Arm = tuple[int, bool]
@@ -171,7 +171,9 @@ def _junction(
         for b, _ in leaving:
             out = _out_way(network, b)
             turn = float(np.arctan2(into[0] * out[1] - into[1] * out[0], into @ out)) * network.side
-            if a != b and abs(turn) < MAX_TURN_RAD:
+            twin = network.roads[a[0]].pair
+            around = twin >= 0 and twin == network.roads[b[0]].pair
+            if a != b and abs(turn) < MAX_TURN_RAD and not around:
                 angle[a, b] = turn
     for (a, b), turn in angle.items():
         from_ids = ends[a[0], 1 if a[1] else -1]

@@ -42,7 +42,7 @@ def plan(store: Store, numbers: Path, factor: float = 2.0) -> dict[str, str]:
 def test_a_second_run_executes_nothing(store, numbers):
     first = run(store, numbers)
     assert sorted(toy.CALLS) == sorted(
-        ["read_numbers", "scale", "split", "shift", "shift", "merge", "merge", "add"]
+        ["read_numbers", "scale", "split", "shift", "shift", "merge", "merge", "listing", "add"]
     )
     second = run(store, numbers)
     assert toy.CALLS == []
@@ -55,10 +55,13 @@ def test_the_result_is_right(store, numbers, tmp_path):
     outcomes = run(store, numbers)
     graph = toy.toy_graph(numbers)
     artifacts = {n: o.artifact for n, o in outcomes.items()}
-    release = publish_release(store, graph, artifacts, {n: o.key for n, o in outcomes.items()}, tmp_path / "r", "toy")
+    release = publish_release(
+        store, graph, artifacts, {n: o.key for n, o in outcomes.items()}, tmp_path / "r", "toy"
+    )
     # offset = sum of scaled = 20; even + 20 -> high; odd + 0 -> low
     assert (release.folder / "texts" / "high.txt").read_text() == "22.0 24.0"
     assert (release.folder / "texts" / "low.txt").read_text() == " 1.0 3.0".strip()
+    assert (release.folder / "list.txt").read_text() == "high,low"
     assert (tmp_path / "r" / "toy" / "latest").resolve() == release.folder
 
 
@@ -66,7 +69,7 @@ def test_a_parameter_reruns_only_what_depends_on_it(store, numbers):
     run(store, numbers)
     assert plan(store, numbers, 3.0) == {
         "read_numbers": "cached", "scale": "run", "split": "cached",
-        "shift": "depends", "merge": "depends", "add": "depends",
+        "shift": "depends", "merge": "depends", "listing": "depends", "add": "depends",
     }  # fmt: skip
     run(store, numbers, 3.0)
     # the odd item is not touched by the offset: its shift stays cached, and so does the merge of what it fed

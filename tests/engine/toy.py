@@ -12,7 +12,7 @@ import numpy as np
 from flexmap_tasks.config import Params
 from flexmap_tasks.engine.graph import Graph, SourceRef
 from flexmap_tasks.engine.stage import stage
-from flexmap_tasks.model.arrays import Floats
+from flexmap_tasks.model.arrays import Floats, Strings
 from flexmap_tasks.model.source import Source
 
 CALLS: list[str] = []
@@ -66,8 +66,19 @@ def merge(parts: dict[str, Numbers]) -> dict[str, bytes]:
     return {"all.txt": " ".join(str(v) for key in sorted(parts) for v in parts[key].value).encode()}
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Keys:
+    key: Strings
+
+
+@stage("listing")
+def listing(items: Keys) -> dict[str, bytes]:
+    CALLS.append("listing")
+    return {"list.txt": ",".join(items.key.tolist()).encode()}
+
+
 @stage("sum")
-def add(a: Numbers, b: Numbers, extra: Numbers | None = None) -> Numbers:
+def add(a: Numbers, b: Numbers, extra: Numbers | None) -> Numbers:
     CALLS.append("add")
     return Numbers(np.array([a.value.sum() + b.value.sum() + (0 if extra is None else extra.value.sum())]))
 
@@ -82,11 +93,11 @@ def toy_graph(file: Path, factor: float = 2.0) -> Graph:
     numbers = graph.run(read_numbers, source=SourceRef(file))
     scaled = graph.run(scale, Factor(factor=factor), numbers=numbers)
     parts = graph.run(split, numbers=numbers)
-    moved = graph.run_each(
-        shift, "item", item=parts.field("parts"), offset=scaled, narrow=narrow_offset
-    )
+    moved = graph.run_each(shift, "item", item=parts.field("parts"), offset=scaled, narrow=narrow_offset)
     merged = graph.run_each(merge, "parts", parts=moved.transpose())
+    listed = graph.run(listing, items=merged.keys())
     total = graph.run(add, a=scaled, b=parts.field("total"), extra=None)
     graph.publish("sum.parquet", total)
     graph.publish("texts/", merged)
+    graph.publish(".", listed)
     return graph

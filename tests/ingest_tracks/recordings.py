@@ -137,16 +137,17 @@ def definition(kind: str) -> bytes:
 def write(path: Path, records: Iterable[Record], layout: Layout | None = None) -> Path:
     writer = (layout or Layout()).writer(path)
     writer.start(profile="ros2")
-    schemas: dict[str, int] = {}
+    schemas: dict[tuple[str, str], int] = {}
     channels: dict[tuple[str, str, str], int] = {}
     for number, record in enumerate(records):
         key = (record.topic, record.kind, record.encoding)
         if key not in channels:
-            if record.kind not in schemas:
-                schemas[record.kind] = writer.register_schema(
+            kind = (record.kind, record.schema_encoding)
+            if kind not in schemas:
+                schemas[kind] = writer.register_schema(
                     record.kind, record.schema_encoding, record.schema
                 )
-            channels[key] = writer.register_channel(record.topic, record.encoding, schemas[record.kind])
+            channels[key] = writer.register_channel(record.topic, record.encoding, schemas[kind])
         writer.add_message(channels[key], record.log_ns, record.payload, record.log_ns, number)
     writer.finish()
     return path

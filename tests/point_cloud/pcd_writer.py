@@ -70,11 +70,11 @@ def body(records: np.ndarray, encoding: str, padding: int = 0) -> bytes:
     gap = np.full((len(records), padding), 65, np.uint8)
     at = list(records.dtype.names).index("x") + 1
     if encoding == "ascii":
-        wide = [c.reshape(len(records), -1) for c in columns]
+        wide = [c if c.ndim > 1 else c[:, None] for c in columns]
         wide.insert(at, gap)
         rows = zip(*[w.tolist() for w in wide], strict=True)
         return "".join(" ".join(str(v) for cell in row for v in cell) + "\n" for row in rows).encode()
-    raw = [c.reshape(len(records), -1).view(np.uint8).reshape(len(records), -1) for c in columns]
+    raw = [np.frombuffer(c.tobytes(), np.uint8).reshape(len(c), c[:1].nbytes or c.itemsize) for c in columns]
     raw.insert(at, gap)
     if encoding == "binary":
         return np.hstack(raw).tobytes()

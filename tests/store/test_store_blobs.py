@@ -100,8 +100,7 @@ def test_many_writers_at_once(store):
 
     def work(seed: int) -> None:
         rng = random.Random(seed)
-        for _ in range(40):
-            blobs.append(store.put_blob(b"x" * rng.randrange(20)))
+        blobs.extend(store.put_blob(b"x" * rng.randrange(20)) for _ in range(40))
 
     threads = [threading.Thread(target=work, args=(i,)) for i in range(8)]
     [t.start() for t in threads]
