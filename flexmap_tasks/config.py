@@ -20,7 +20,7 @@ Name = Annotated[str, StringConstraints(pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]{0,9
 class Params(BaseModel):
     """Base of all settings: frozen, no unknown keys."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid", str_strip_whitespace=True)
+    model_config = ConfigDict(frozen=True, extra="forbid", str_strip_whitespace=True, validate_default=True)
 
 
 # --- inputs -------------------------------------------------------------------------------------
@@ -98,11 +98,13 @@ class PointCloudInput(PointCloudParams):
 class OsmFetchParams(Params):
     """An OpenStreetMap server asked for the box around the track."""
 
-    endpoint: str = Field(description="http(s) address of an OSM API 0.6 or Overpass endpoint")
+    endpoint: Annotated[str, StringConstraints(pattern=r"^https?://[^\s/]+")] = Field(
+        description="http(s) address of an OSM API 0.6 or Overpass endpoint"
+    )
     api: Literal["osm06", "overpass"] = "osm06"
-    margin_m: NonNegative = Field(200.0, description="added around the track's box")
+    margin_m: Annotated[float, Field(ge=0, le=10_000)] = Field(200.0, description="added around the track's box")
     max_age_days: NonNegative = Field(30.0, description="an extract older than this is fetched again")
-    timeout_s: Positive = 60.0
+    timeout_s: Annotated[float, Field(gt=0, le=3600)] = 60.0
 
 
 class OsmRoadsParams(Params):
@@ -222,8 +224,6 @@ class MatchParams(Params):
     weight_length: NonNegative = 0.2
     weight_chord: NonNegative = 0.35
     weight_area: NonNegative = 0.1
-    short_reference_m: NonNegative = Field(1.5, description="shorter references are left out of statistics")
-    true_positive_score: Share = Field(0.8, description="the paper's self-score for a true positive")
 
 
 class TransferRule(Params):
@@ -289,8 +289,8 @@ class TransferParams(Params):
     split_snap_m: NonNegative = Field(1.0, description="cut at an existing vertex when one is this near")
     split_stretch_m: NonNegative = Field(5.0, description="a value that holds for less is not worth a cut")
     split_gap_m: Positive = Field(20.0, description="an unmatched end longer than this is cut off")
-    split_closed: bool = Field(
-        False, description="also cut carriageways with lanelets closed to cars, such as bicycle lanes"
+    split_everywhere: bool = Field(
+        False, description="also cut carriageways with lanelets that are closed to cars or driven both ways"
     )
     remove_fragments: bool = Field(False, description="delete unconnected lanelets beyond OSM's lane count")
 
@@ -318,8 +318,10 @@ class GeoreferenceParams(Params):
 class EvaluationParams(Params):
     """Limits of the quality table; an empty limit is not judged."""
 
-    deviation_rmse_max_m: Positive | None = None
-    match_rate_min: Share | None = None
+    deviation_rmse_max_m: Positive | None = Field(None, description="over all poses, after the warp")
+    match_rate_min: Share | None = Field(None, description="share of reference polylines with a match")
+    short_reference_m: NonNegative = Field(1.5, description="shorter references are left out of statistics")
+    true_positive_score: Share = Field(0.8, description="the paper's self-score for a true positive")
 
 
 class FlexMapConfig(Params):

@@ -3,18 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
+from dataclasses import dataclass
+from typing import Any, TypeVar
 
 from flexmap_tasks.alignment.align_track import align_track
+from flexmap_tasks.alignment.cloud_extent import cloud_extent
 from flexmap_tasks.alignment.control_points import control_points
 from flexmap_tasks.alignment.project import project_utm
 from flexmap_tasks.alignment.rubber_sheet import rigid_warp, rubber_sheet
 from flexmap_tasks.alignment.umeyama import umeyama
+from flexmap_tasks.config import FlexMapConfig, GnssParams, OsmInput, OsmRoadsParams, Params, PointCloudParams, SlamParams
 from flexmap_tasks.conflation.collapse import collapse
 from flexmap_tasks.conflation.match import match
 from flexmap_tasks.conflation.place_roads import place_roads
 from flexmap_tasks.conflation.transfer import transfer
-from flexmap_tasks.config import FlexMapConfig, OsmInput, Params
 from flexmap_tasks.engine.graph import Graph, Ref, SourceRef
 from flexmap_tasks.evaluation.quality import evaluate
 from flexmap_tasks.georeferencing.bundle import georeference
@@ -27,16 +29,171 @@ from flexmap_tasks.ingest.osm_roads import ingest_osm_roads
 from flexmap_tasks.ingest.point_cloud import ingest_point_cloud
 from flexmap_tasks.ingest.slam import ingest_slam
 
+M = TypeVar("M", bound=Params)
+
+
+@dataclass(frozen=True, slots=True)
+class Aligned:
+    """The drive in the map frame, and the warp that brought it there."""
+
+    projection: Ref
+    gnss_track: Ref
+    slam: Ref
+    motion: Ref
+    control_points: Ref | None
+    warp: Ref
+
+
+@dataclass(frozen=True, slots=True)
+class Conflated:
+    """What conflation decided, and the enriched map."""
+
+    matched: Ref
+    enriched: Ref
+
 
 def map_update(config: FlexMapConfig) -> Graph:
     """Everything one map update does, and what its release holds."""
     graph = Graph()
-    fixes = graph.run(ingest_gnss, only(config.gnss), source=SourceRef(config.gnss.file))
-    slam = graph.run(ingest_slam, only(config.slam), source=SourceRef(config.slam.file))
+    fixes = graph.run(ingest_gnss, only(GnssParams, config.gnss), source=SourceRef(config.gnss.file))
+    slam = graph.run(ingest_slam, only(SlamParams, config.slam), source=SourceRef(config.slam.file))
+    lanelets = config.lanelet_map and graph.run(ingest_lanelet_map, source=SourceRef(config.lanelet_map.file))
+    tiles = _ingest_cloud(graph, config)
+    roads = _ingest_roads(graph, config.osm, fixes)
+
+    aligned = _align(graph, config, fixes, slam, lanelets, tiles)
+    moves_map = config.alignment.master == "gnss"
+    if lanelets is not None and moves_map:
+        lanelets = graph.run(georeference_map, lanelet_map=lanelets, warp=aligned.warp)
+    conflated = _conflate(graph, config, lanelets, roads, aligned) if lanelets and roads else None
+    if lanelets is not None:
+        finished = conflated.enriched.field("map") if conflated else lanelets
+        bundle = graph.run(
+            georeference,
+            config.georeference,
+            lanelet_map=finished,
+            projection=aligned.projection if moves_map else None,
+        )
+        graph.publish(".", bundle)
+    if tiles is not None:
+        _georeference_cloud(graph, config, tiles, aligned.warp if moves_map else None)
+    _evaluate(graph, config, aligned, conflated)
     return graph
 
 
-def only(settings: Params) -> Params:
+def _ingest_cloud(graph: Graph, config: FlexMapConfig) -> Ref | None:
+    if config.point_cloud is None:
+        return None
+    params = only(PointCloudParams, config.point_cloud)
+    return graph.run(ingest_point_cloud, params, source=SourceRef(config.point_cloud.file))
+
+
+def _ingest_roads(graph: Graph, osm: OsmInput | None, fixes: Ref) -> Ref | None:
+    if osm is None:
+        return None
+    source: Ref | SourceRef
+    if osm.fetch is not None:
+        box = graph.run(track_box, osm.fetch, fixes=fixes)
+        source = graph.run(fetch_osm, osm.fetch, box=box)
+        graph.publish("sources/", source)
+    else:
+        assert osm.file is not None  # noqa: S101 - OsmInput gives one of the two
+        source = SourceRef(osm.file)
+    return graph.run(ingest_osm_roads, only(OsmRoadsParams, osm), source=source)
+
+
+def _align(
+    graph: Graph, config: FlexMapConfig, fixes: Ref, slam: Ref, lanelets: Ref | None, tiles: Ref | None
+) -> Aligned:
+    alignment = config.alignment
+    projected = graph.run(project_utm, config.projection, fixes=fixes)
+    projection, gnss = projected.field("projection"), projected.field("gnss_track")
+    motion = graph.run(umeyama, alignment.umeyama, slam=slam, gnss=gnss, projection=projection)
+    points = None
+    if alignment.method == "rubber_sheet":
+        assert alignment.control_points_file is not None  # noqa: S101 - checked by FlexMapConfig
+        points = graph.run(
+            control_points,
+            alignment.control_points,
+            source=SourceRef(alignment.control_points_file),
+            slam=slam,
+            gnss=gnss,
+            motion=motion,
+            projection=projection,
+        )
+        warp = graph.run(
+            rubber_sheet,
+            alignment.rubber_sheet,
+            points=points,
+            motion=motion,
+            slam=slam,
+            lanelet_map=lanelets,
+            cloud_extent=graph.run(cloud_extent, index=tiles.field("index")) if tiles else None,
+        )
+        graph.publish("control_points.parquet", points)
+    else:
+        warp = graph.run(rigid_warp, motion=motion)
+    graph.publish("projection.json", projection)
+    graph.publish("alignment.json", motion)
+    graph.publish("gnss_track.parquet", gnss)
+    graph.publish("slam_track_before.parquet", slam)
+    aligned_track = graph.run(align_track, slam=slam, warp=warp)
+    graph.publish("slam_track_after.parquet", aligned_track)
+    return Aligned(projection, gnss, slam, motion, points, warp)
+
+
+def _conflate(graph: Graph, config: FlexMapConfig, lanelets: Ref, roads: Ref, aligned: Aligned) -> Conflated:
+    conflation = config.conflation
+    placed = graph.run(
+        place_roads,
+        roads=roads,
+        projection=aligned.projection,
+        gnss=aligned.gnss_track,
+        warp=aligned.warp if config.alignment.master == "slam" else None,
+    )
+    centerlines = graph.run(collapse, conflation.collapse, lanelet_map=lanelets)
+    matched = graph.run(match, conflation.match, centerlines=centerlines, lanelet_map=lanelets, roads=placed)
+    enriched = graph.run(
+        transfer,
+        conflation.transfer,
+        lanelet_map=lanelets,
+        centerlines=centerlines,
+        matches=matched.field("matches"),
+        roads=placed,
+    )
+    graph.publish("matches.parquet", matched.field("matches"))
+    graph.publish("transfer.parquet", enriched.field("transfers"))
+    graph.publish("lane_check.parquet", enriched.field("lane_check"))
+    graph.publish("findings.parquet", enriched.field("findings"))
+    return Conflated(matched, enriched)
+
+
+def _georeference_cloud(graph: Graph, config: FlexMapConfig, tiles: Ref, warp: Ref | None) -> None:
+    assert config.point_cloud is not None  # noqa: S101 - there are tiles
+    params = only(PointCloudParams, config.point_cloud)
+
+    def touched(key: str, values: Mapping[str, Any]) -> Mapping[str, Any]:
+        """The part of the warp that moves one tile."""
+        return {"warp": values["warp"].restrict(tile_extent(key, params))} if "warp" in values else {}
+
+    warped = graph.run_each(warp_tile, "tile", params, tile=tiles.field("tiles"), warp=warp, narrow=touched)
+    merged = graph.run_each(merge_tile, "parts", parts=warped.transpose())
+    graph.publish("pointcloud_map/", merged)
+    graph.publish(".", graph.run(pointcloud_metadata, params, tiles=merged.keys()))
+
+
+def _evaluate(graph: Graph, config: FlexMapConfig, aligned: Aligned, conflated: Conflated | None) -> None:
+    quality = graph.run(
+        evaluate,
+        config.evaluation,
+        slam=aligned.slam,
+        gnss=aligned.gnss_track,
+        motion=aligned.motion,
+        warp=aligned.warp,
+    )
+    graph.publish("quality.json", quality)
+
+
+def only(kind: type[M], settings: M) -> M:
     """The settings of an input without its path: what the stage gets."""
-    base = type(settings).__mro__[1]
-    return base.model_validate({name: getattr(settings, name) for name in base.model_fields})
+    return kind.model_validate({name: getattr(settings, name) for name in kind.model_fields})

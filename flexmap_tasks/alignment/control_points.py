@@ -65,10 +65,13 @@ def _source_xy(
     kind, values = line.source.kind, line.source.values
     if kind == "source_row":
         row = _row(source, line, values[0], len(slam), "the SLAM trajectory")
-        return motion.apply_xy(slam.xyz_m[row : row + 1])[0]
-    if kind == "source_x_m":
-        return motion.apply_xy(np.array([values]))[0]
-    return np.array(values) if kind == "source_map_x_m" else _project(source, line, projection, values)
+        at = slam.xyz_m[row]
+    elif kind == "source_x_m":
+        at = np.array(values)
+    else:
+        return np.array(values) if kind == "source_map_x_m" else _project(source, line, projection, values)
+    moved: Floats = motion.apply_xy(at[None])[0]
+    return moved
 
 
 def _target_xy(source: Source, line: ControlPointLine, gnss: GnssTrack, projection: Projection) -> Floats:
@@ -97,7 +100,9 @@ def _project(
     xy: Floats = projection.to_xy_m(np.array([[latlon[1], latlon[0]]]))[0]
     if not np.isfinite(xy).all():
         raise AlignmentError(
-            source.name, f"{latlon[0]:g}, {latlon[1]:g} lies outside of UTM zone {projection.zone}", line.where
+            source.name,
+            f"{latlon[0]:g}, {latlon[1]:g} lies outside of UTM zone {projection.zone}",
+            line.where,
         )
     return xy
 
@@ -109,7 +114,9 @@ def _check_count(source: Source, count: int) -> None:
         )
 
 
-def _check_distances(source: Source, kept: list[ControlPointLine], points: ControlPoints, limit: float) -> None:
+def _check_distances(
+    source: Source, kept: list[ControlPointLine], points: ControlPoints, limit: float
+) -> None:
     gap = np.hypot(*(points.source_xy_m - points.target_xy_m)[points.used].T)
     worst = int(gap.argmax())
     if gap[worst] > limit:

@@ -11,9 +11,7 @@ from flexmap_tasks.geometry import utm
 from flexmap_tasks.geometry.breaks import observed_steps
 from flexmap_tasks.model.arrays import Bools
 from flexmap_tasks.model.projection import Projection
-from flexmap_tasks.model.tracks import GnssFixes, GnssTrack, Projected
-
-_NO_FIX = -1
+from flexmap_tasks.model.tracks import STATUS_NONE, GnssFixes, GnssTrack, Projected
 
 
 @stage("projected")
@@ -49,7 +47,7 @@ def project_utm(fixes: GnssFixes, params: ProjectionParams) -> Projected:
 def _usable(fixes: GnssFixes) -> Bools:
     nowhere = (fixes.lon_deg == 0.0) & (fixes.lat_deg == 0.0)
     finite = np.isfinite(fixes.lon_deg) & np.isfinite(fixes.lat_deg)
-    usable: Bools = finite & ~nowhere & (fixes.status != _NO_FIX)
+    usable: Bools = finite & ~nowhere & (fixes.status != STATUS_NONE)
     return usable
 
 

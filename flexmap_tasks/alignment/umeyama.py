@@ -25,9 +25,7 @@ MAX_RMSE_SHARE = 0.25
 
 
 @stage("alignment")
-def umeyama(
-    slam: Trajectory, gnss: GnssTrack, projection: Projection, params: UmeyamaParams
-) -> RigidMotion:
+def umeyama(slam: Trajectory, gnss: GnssTrack, projection: Projection, params: UmeyamaParams) -> RigidMotion:
     """The motion from the SLAM frame into the map frame; rotation and translation, scale only reported.
 
     Raises AlignmentError when a track has fewer than three distinct places or stands still, or when the

@@ -25,12 +25,12 @@ NONURBAN_HIGHWAYS = ("motorway", "motorway_link", "trunk", "trunk_link")
 CLOSED_SUBTYPES = ("bus_lane", "bicycle_lane", "walkway", "shared_walkway", "stairs", "crosswalk")
 """Subtypes Lanelet2 closes to cars: never given to a lanelet that its author left open."""
 
-_NUMBER = re.compile(r"(\d{1,3}(?:\.\d{1,3})?) ?(km/h|kmh|kph|mph)?\Z")
-_ZONE_NUMBER = re.compile(r"([a-z]{2}):(?:zone:?)?(\d{2,3})\Z")
+_NUMBER = re.compile(r"([0-9]{1,3}(?:\.[0-9]{1,3})?) ?(km/h|kmh|kph|mph)?\Z")
+_ZONE_NUMBER = re.compile(r"([a-z]{2}):(?:zone:?)?([0-9]{2,3})\Z")
 _MPH_COUNTRIES = ("gb", "uk", "us")
-_WORD = re.compile(r"[a-z0-9_:.-]{1,64}\Z", re.IGNORECASE)
+_WORD = re.compile(r"[a-z0-9_:.-]{1,64}\Z")
 _ZONE_KEYS = ("zone:traffic", "maxspeed:type", "source:maxspeed", "zone:maxspeed", "maxspeed")
-_URBAN = re.compile(r"(?:[a-z]{2}:)?(?:urban|living_street|zone:?\d+|bicycle_road)\Z|[a-z]{2}:[23]0\Z")
+_URBAN = re.compile(r"(?:[a-z]{2}:)?(?:urban|living_street|zone:?[0-9]+|bicycle_road)\Z|[a-z]{2}:[23]0\Z")
 _NONURBAN = re.compile(r"(?:[a-z]{2}:)?(?:rural|motorway|trunk|nsl_single|nsl_dual)\Z")
 _YES, _NO = ("yes", "true", "1"), ("no", "false", "0")
 

@@ -84,7 +84,7 @@ def _joints(
     outward = np.stack([-segments.direction[first], segments.direction[last]], axis=1).reshape(-1, 2)
     end = np.flatnonzero(node >= 0)
     order = end[np.argsort(node[end], kind="stable")]
-    number, at, count = np.unique(node[order], return_index=True, return_counts=True)
+    _, at, count = np.unique(node[order], return_index=True, return_counts=True)
     pair = at[count == 2]
     a, b = order[pair], order[pair + 1] if len(pair) else order[pair]
     straight = _turn_deg(outward[a], -outward[b]) < angle_max_deg

@@ -6,9 +6,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from flexmap_tasks.geometry.lanelets import offsets
 from flexmap_tasks.geometry.segments import Segments, cut, first_of_groups
-from flexmap_tasks.model.arrays import Floats, Ints
+from flexmap_tasks.model.arrays import Bools, Floats, Ints
 from flexmap_tasks.model.maps import PlacedRoads
+
+
+STRAIGHT_COS = np.cos(np.radians(0.01))
+"""A vertex at which a way turns by less is passed over: how densely a straight is drawn must not matter."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -35,7 +40,7 @@ def road_segments(roads: PlacedRoads, segment_length_m: float) -> RoadSegments:
     offset, vertex = _usable(roads)
     xy_m = roads.xy_m[vertex]
     segments = cut(offset, xy_m, segment_length_m)
-    _, number = np.unique(network.node_id[vertex], return_inverse=True)
+    number = np.unique(network.node_id[vertex], return_inverse=True)[1]
     inner = np.flatnonzero(segments.vertex_b < 0)
     fresh = len(vertex) + np.arange(len(inner))
     head = np.where(segments.vertex_b >= 0, number[segments.vertex_b], 0)
@@ -59,10 +64,21 @@ def road_segments(roads: PlacedRoads, segment_length_m: float) -> RoadSegments:
 
 
 def _usable(roads: PlacedRoads) -> tuple[Ints, Ints]:
-    """Finite vertices of ways that are no areas: (offset over all ways, vertices)."""
+    """Vertices that shape ways: finite, of no area, and no mere points on a straight: (offset, vertices)."""
     network = roads.network
     owner = np.repeat(np.arange(len(network)), np.diff(network.offset))
     area = network.tags.column("area") == "yes"
-    good = np.isfinite(roads.xy_m).all(axis=1) & ~area[owner]
-    offset = np.concatenate([[0], np.cumsum(np.bincount(owner[good], minlength=len(network)))])
-    return offset.astype(np.int64), np.flatnonzero(good)
+    vertex = np.flatnonzero(np.isfinite(roads.xy_m).all(axis=1) & ~area[owner])
+    vertex = vertex[~_on_a_straight(owner[vertex], network.node_id[vertex], roads.xy_m[vertex])]
+    return offsets(np.bincount(owner[vertex], minlength=len(network))), vertex
+
+
+def _on_a_straight(way: Ints, node_id: Ints, xy_m: Floats) -> Bools:
+    """Inner vertices of one way alone at which it does not turn."""
+    run = np.diff(xy_m, axis=0)
+    length = np.hypot(*run.T)
+    cos = np.einsum("ij,ij->i", run[:-1], run[1:]) >= STRAIGHT_COS * length[:-1] * length[1:]
+    _, inverse, count = np.unique(node_id, return_inverse=True, return_counts=True)
+    inner = np.zeros(len(way), dtype=bool)
+    inner[1:-1] = (way[:-2] == way[2:]) & cos & (count[inverse][1:-1] == 1)
+    return inner

@@ -57,9 +57,7 @@ def candidates_of(chains: RoadChains, references: ReferenceLines, params: MatchP
     angle = _angle_deg(ref_b - ref_a, end - start)
     d_length = np.abs(length - references.length_m[reference])
     d_chord = np.abs(np.hypot(*(end - start).T) - np.hypot(*(ref_b - ref_a).T))
-    kept = (
-        (angle < params.angle_max_deg) & (d_length < params.length_max_m) & (d_chord < params.chord_max_m)
-    )
+    kept = (angle < params.angle_max_deg) & (d_length < params.length_max_m) & (d_chord < params.chord_max_m)
     reference, first, last = reference[kept], first[kept], last[kept]
     angle, d_length, d_chord = angle[kept], d_length[kept], d_chord[kept]
     area = _area_m(chains, references, reference, first, last)

@@ -60,7 +60,7 @@ class _Ids:
             candidate = 2**_ID_BITS + (z ^ (z >> 31)) % 2**_ID_BITS
             if candidate not in self.used:
                 self.used.add(candidate)
-                return candidate
+                return int(candidate)
 
 
 def whole(facts: LaneletFacts) -> Pieces:
@@ -186,7 +186,8 @@ def _way_pieces(
     ways = document.ways
     refs = ways.ref[ways.offset[way] : ways.offset[way + 1]].tolist()
     out: list[tuple[int, list[int]]] = []
-    current, start, next_vertex = int(ways.id[way]), [], 0
+    start: list[int] = []
+    current, next_vertex = int(ways.id[way]), 0
     for cut in plan.ways[way]:
         start = [*start, *refs[next_vertex : cut.vertex + 1]]
         if cut.t > 0.0:

@@ -175,8 +175,12 @@ class _Planner:
             return "a bound of the carriageway cannot be cut: it serves a rule, or passes a node twice"
         if any(self.facts.drawn_way[k] == -2 for k in group.lanelet_sign):
             return "a drawn centreline of the carriageway serves more than one lanelet or is not whole"
-        if not self.params.split_closed and not all(self.facts.open_to_cars[k] for k in group.lanelet_sign):
-            return "a lanelet closed to cars shares the carriageway"
+        if not self.params.split_everywhere:
+            rows = np.array(list(group.lanelet_sign), dtype=np.int64)
+            if not self.facts.open_to_cars[rows].all():
+                return "a lanelet closed to cars shares the carriageway, set split_everywhere to cut it too"
+            if not self.facts.lanelets.one_way[rows].all():
+                return "a lanelet of the carriageway is driven both ways, set split_everywhere to cut it too"
         return ""
 
     def _line(self, way: int) -> Line:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -96,11 +96,14 @@ class Offers:
     """What the ways of `Rows` offer under each rule.
 
     code : (n, r) int64 into `values`, 0 for nothing
-    values : the different offers; the first is "nothing"
+    note : (n, r) int64 into `notes`, values that hold only at times, 0 for none
+    values, notes : the different ones, in an order of their own
     """
 
     code: Ints
+    note: Ints
     values: tuple[Offer, ...]
+    notes: tuple[str, ...]
 
 
 def facts_of(lanelet_map: LaneletMap) -> LaneletFacts:
@@ -184,13 +187,20 @@ def wrong_way(rows: Rows, facts: LaneletFacts, roads: PlacedRoads) -> Bools:
 def offers_of(rows: Rows, roads: PlacedRoads, params: TransferParams) -> Offers:
     """What every row's way offers; parsed once per way and direction."""
     pairs, inverse = np.unique(np.stack([rows.road, rows.sense], axis=1), axis=0, return_inverse=True)
-    codes: dict[Offer, int] = {NOTHING: 0}
-    table = np.zeros((len(pairs), len(params.rules)), dtype=np.int64)
-    for i, (road, sense) in enumerate(pairs.tolist()):
+    found = []
+    for road, sense in pairs.tolist():
         tags = roads.network.tags.of_element(road)
-        for j, rule in enumerate(params.rules):
-            table[i, j] = codes.setdefault(offer(rule, tags, sense, params), len(codes))
-    return Offers(table[inverse.ravel()], tuple(codes))
+        found.append([offer(rule, tags, sense, params) for rule in params.rules])
+    plain = [[replace(o, also="") for o in line] for line in found]
+    values = sorted(
+        {o for line in plain for o in line} | {NOTHING}, key=lambda o: (o.value, o.weak, o.problem)
+    )
+    notes = sorted({o.also for line in found for o in line} | {""})
+    value_code, note_code = {o: i for i, o in enumerate(values)}, {n: i for i, n in enumerate(notes)}
+    shape = (len(pairs), len(params.rules))
+    code = np.array([[value_code[o] for o in line] for line in plain], dtype=np.int64).reshape(shape)
+    note = np.array([[note_code[o.also] for o in line] for line in found], dtype=np.int64).reshape(shape)
+    return Offers(code[inverse.ravel()], note[inverse.ravel()], tuple(values), tuple(notes))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

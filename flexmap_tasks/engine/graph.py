@@ -92,7 +92,7 @@ class Graph:
     """Nodes in an order in which they can run, and what of them a release holds."""
 
     nodes: dict[str, Node] = field(default_factory=dict)
-    release: dict[str, Ref] = field(default_factory=dict)
+    release: list[tuple[str, Ref]] = field(default_factory=list)
 
     def run(self, stage: AnyStage, params: Params | None = None, **inputs: Input | None) -> Ref:
         """Add a stage; an input that is None is left to the stage's default None."""
@@ -106,8 +106,8 @@ class Graph:
         return self._add(stage, params, inputs, each, narrow)
 
     def publish(self, path: str, ref: Ref) -> None:
-        """Put an artifact into the release: a file at `path`, or its files below `path` when that ends in `/`."""
-        self.release[path] = ref
+        """Put an artifact into the release: a file at `path`, its files below a `path/`, or "." by their own names."""
+        self.release.append((path, ref))
 
     def _add(
         self, stage: AnyStage, params: Params | None, inputs: Mapping[str, Input | None],

@@ -53,7 +53,7 @@ def make_manifest(
 ) -> dict[str, Any]:  # fmt: skip
     """Every file with its digest and the action that made it; no times, no machine."""
     files: dict[str, dict[str, Any]] = {}
-    for path, ref in graph.release.items():
+    for path, ref in graph.release:
         for file, blob in _released_files(path, ref, ref.select(artifacts[ref.node])):
             files[file] = {
                 "sha256": blob.sha256,

@@ -107,7 +107,9 @@ def _rows(source: Source) -> Iterator[tuple[int, list[str]]]:
     except OSError as error:
         raise InputError(source.name, f"cannot be read: {error.strerror or error}") from error
     if len(raw) > MAX_BYTES:
-        raise AlignmentError(source.name, f"is larger than {MAX_BYTES >> 20} MiB: not a list of control points")
+        raise AlignmentError(
+            source.name, f"is larger than {MAX_BYTES >> 20} MiB: not a list of control points"
+        )
     try:
         text = raw.decode("utf-8-sig")
     except UnicodeDecodeError:
@@ -141,14 +143,18 @@ def _columns(source: Source, line: int, header: list[str]) -> list[str]:
     for side, groups in (("source", _SOURCES), ("target", _TARGETS)):
         if not any(set(group) <= set(columns) for group in groups):
             ways = ", or ".join(" and ".join(group) for group in groups)
-            raise AlignmentError(source.name, f"no column says where the {side} is; add {ways}", f"line {line}")
+            raise AlignmentError(
+                source.name, f"no column says where the {side} is; add {ways}", f"line {line}"
+            )
     return columns
 
 
 def _point(source: Source, line: int, columns: list[str], cells: list[str]) -> ControlPointLine:
     if len(cells) != len(columns):
         raise AlignmentError(
-            source.name, f"expected {len(columns)} values as in the header, found {len(cells)}", f"line {line}"
+            source.name,
+            f"expected {len(columns)} values as in the header, found {len(cells)}",
+            f"line {line}",
         )
     cell = dict(zip(columns, cells, strict=True))
     name = cell.get("name") or f"line {line}"

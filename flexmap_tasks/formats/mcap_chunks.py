@@ -94,13 +94,13 @@ def message_bounds(data: Buffer) -> tuple[Ints, Ints]:
     return np.asarray(starts, dtype=np.int64), np.asarray(stops, dtype=np.int64)
 
 
-def indexed_bounds(unpacked: bytes, entries: bytes) -> tuple[Ints, Ints] | None:
+def indexed_bounds(unpacked: Buffer, entries: bytes) -> tuple[Ints, Ints] | None:
     """Content bounds of the messages that index entries point to, in the order of the chunk.
 
     None where an entry points to no message: then only a walk through the chunk tells.
     """
-    offset = np.unique(np.frombuffer(entries, dtype="<u8")[1::2])
-    if len(offset) * INDEX_ENTRY != len(entries) or (len(offset) and offset[-1] + _HEAD.size > len(unpacked)):
+    offset = np.sort(np.frombuffer(entries, dtype="<u8")[1::2])
+    if len(offset) and (offset[-1] > len(unpacked) - _HEAD.size or (offset[1:] == offset[:-1]).any()):
         return None
     start = offset.astype(np.int64)
     head = gather(np.frombuffer(unpacked, dtype=np.uint8), start, _HEAD.size).view(_RECORD)
@@ -112,8 +112,8 @@ def indexed_bounds(unpacked: bytes, entries: bytes) -> tuple[Ints, Ints] | None:
     return start, start + head["length"].astype(np.int64)
 
 
-def unpack_chunk(data: Buffer, chunk: Chunk) -> bytes:
-    """The records inside a chunk, unpacked and checked against size and CRC."""
+def unpack_chunk(data: Buffer, chunk: Chunk) -> Buffer:
+    """The records inside a chunk, unpacked and checked against size and CRC; a view where nothing is packed."""
     if chunk.end - chunk.begin < _FIXED.size:
         raise DamagedError(chunk.begin, "the chunk's head is cut off")
     _, _, size, crc, name_length = _FIXED.unpack_from(data, chunk.begin)
@@ -125,7 +125,7 @@ def unpack_chunk(data: Buffer, chunk: Chunk) -> bytes:
     (packed_size,) = struct.unpack_from("<Q", data, at)
     if packed_size > chunk.end - at - 8:
         raise DamagedError(at, "the chunk is longer than its record")
-    packed = bytes(data[at + 8 : at + 8 + packed_size])
+    packed = memoryview(data)[at + 8 : at + 8 + packed_size]
     if size > FREE_SIZE + GREATEST_RATIO * packed_size:
         raise DamagedError(at, f"the chunk claims to unpack from {packed_size:,} to {size:,} bytes")
     unpacked = _decompress(name, packed, size, at)
@@ -136,7 +136,7 @@ def unpack_chunk(data: Buffer, chunk: Chunk) -> bytes:
     return unpacked
 
 
-def _decompress(name: bytes, packed: bytes, size: int, at: int) -> bytes:
+def _decompress(name: bytes, packed: memoryview, size: int, at: int) -> Buffer:
     try:
         if name == b"":
             return packed
@@ -150,7 +150,7 @@ def _decompress(name: bytes, packed: bytes, size: int, at: int) -> bytes:
     raise DamagedError(at, f"compression {name[:20]!r} is unknown; known are none, lz4 and zstd")
 
 
-def _unzstd(packed: bytes, size: int, at: int) -> bytes:
+def _unzstd(packed: memoryview, size: int, at: int) -> bytes:
     # The library allocates what the frame claims, so the claim is compared with the checked size before.
     claim = zstandard.frame_content_size(packed)
     if claim not in (-1, size):

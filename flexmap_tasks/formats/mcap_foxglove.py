@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Iterable
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
@@ -13,11 +13,13 @@ from google.protobuf.message import DecodeError
 from flexmap_tasks.formats.cdr import CdrError
 from flexmap_tasks.formats.mcap_records import Schema
 from flexmap_tasks.formats.mcap_ros import NS_PER_S, Decoded
-from flexmap_tasks.formats.track_rows import FIX_COLUMNS, POSE_COLUMNS
+from flexmap_tasks.formats.track_rows import FIX_COLUMNS, POSE_COLUMNS, printable
 from flexmap_tasks.model.tracks import STATUS_UNKNOWN
 
 Fields = Callable[[bytes], dict[str, Any]]
 """One message as nested dicts of its fields, as in JSON."""
+
+T = TypeVar("T")
 
 _COVARIANCE_TYPES = {"UNKNOWN": 0, "APPROXIMATED": 1, "DIAGONAL_KNOWN": 2, "KNOWN": 3}
 
@@ -41,14 +43,14 @@ def location_fixes(messages: Iterable[bytes], fields: Fields) -> Decoded:
 
 def poses_in_frame(messages: Iterable[bytes], fields: Fields) -> Decoded:
     """foxglove.PoseInFrame. Raises CdrError with the number of a bad message."""
-    return _each(messages, fields, lambda message: _pose(message.get("pose", {})), len(POSE_COLUMNS))
+    return _each(messages, fields, lambda message: _pose(message["pose"]), len(POSE_COLUMNS))
 
 
 def longest_poses(messages: Iterable[bytes], fields: Fields) -> Decoded:
     """The longest foxglove.PosesInFrame, the last of equal ones; its poses have no time of their own."""
     best: list[tuple[float, ...]] = []
     for number, raw in enumerate(messages):
-        poses = _guarded(number, raw, fields, lambda message: [_pose(p) for p in message.get("poses", [])])
+        poses = _guarded(number, raw, fields, lambda message: [_pose(p) for p in message["poses"]])
         best = poses if len(poses) >= len(best) else best
     values = np.asarray(best, dtype=np.float64).reshape(-1, len(POSE_COLUMNS))
     none = np.zeros(len(values), dtype=np.int64)
@@ -68,44 +70,32 @@ def _each(
     return Decoded(table, np.asarray(stamps, dtype=np.int64), np.arange(len(table)))
 
 
-def _guarded(number: int, raw: bytes, fields: Fields, use: Callable[[dict[str, Any]], Any]) -> Any:
+def _guarded(number: int, raw: bytes, fields: Fields, use: Callable[[dict[str, Any]], T]) -> T:
     try:
         return use(fields(raw))
-    except (
-        DecodeError,
-        ValueError,
-        TypeError,
-        KeyError,
-        AttributeError,
-        OverflowError,
-        RecursionError,
-    ) as error:
-        raise CdrError(
-            number, f"the message does not fit its schema ({type(error).__name__}: {error})"
-        ) from error
+    except KeyError as error:
+        raise CdrError(number, f"the field {error} is missing") from error
+    except (DecodeError, ValueError, TypeError, AttributeError, OverflowError, RecursionError) as error:
+        raise CdrError(number, f"the message does not fit its schema ({_one_line(error)})") from error
 
 
 def _location_fix(message: dict[str, Any]) -> tuple[float, ...]:
-    # Protobuf leaves out zeros, so an absent number is 0; JSON writers leave nothing out.
     covariance = [float(value) for value in message.get("position_covariance") or ()]
     kind = message.get("position_covariance_type", 0)
     kind = _COVARIANCE_TYPES.get(kind, 0) if isinstance(kind, str) else kind
     if len(covariance) != 9:
         covariance, kind = [0.0] * 9, 0
-    place = (float(message.get(name, 0.0)) for name in ("latitude", "longitude", "altitude"))
+    place = (float(message[name]) for name in ("latitude", "longitude", "altitude"))
     return (*place, covariance[0], covariance[4], covariance[8], float(kind), float(STATUS_UNKNOWN))
 
 
 def _pose(pose: dict[str, Any]) -> tuple[float, ...]:
-    position, turn = pose.get("position", {}), pose.get("orientation", {})
-    return (
-        *(float(position.get(axis, 0.0)) for axis in "xyz"),
-        *(float(turn.get(axis, 0.0)) for axis in "xyzw"),
-    )
+    position, turn = pose["position"], pose["orientation"]
+    return (*(float(position[axis]) for axis in "xyz"), *(float(turn[axis]) for axis in "xyzw"))
 
 
 def _stamp(message: dict[str, Any]) -> int:
-    stamp = message.get("timestamp", {})
+    stamp = message.get("timestamp") or {}
     total = int(stamp.get("sec", 0)) * NS_PER_S + int(stamp.get("nsec", 0))
     return total if 0 < total <= np.iinfo(np.int64).max else 0
 
@@ -133,7 +123,7 @@ def _protobuf_fields(schema: Schema) -> Fields:
                 del waiting[file.name]
         kind = message_factory.GetMessageClass(pool.FindMessageTypeByName(schema.name))
     except (DecodeError, TypeError, KeyError, ValueError) as error:
-        raise SchemaError(f"its protobuf description cannot be used ({error})") from error
+        raise SchemaError(f"its protobuf description cannot be used ({_one_line(error)})") from error
 
     def fields(raw: bytes) -> dict[str, Any]:
         return _as_dict(kind.FromString(raw))
@@ -142,17 +132,25 @@ def _protobuf_fields(schema: Schema) -> Fields:
 
 
 def _as_dict(message: Any) -> dict[str, Any]:
-    """A protobuf message with the names that JSON has; depth and size are those of the parsed message."""
+    """A protobuf message with the names that JSON has; what was not set has the value protobuf gives it."""
     out: dict[str, Any] = {}
-    for field, value in message.ListFields():
+    for field in message.DESCRIPTOR.fields:
+        value = getattr(message, field.name)
         if field.message_type is None:
             out[field.name] = value
         elif field.message_type.full_name == "google.protobuf.Timestamp":
             out[field.name] = {"sec": value.seconds, "nsec": value.nanos}
-        elif hasattr(value, "ListFields"):
-            out[field.name] = _as_dict(value)
         elif field.message_type.GetOptions().map_entry:
             continue
-        else:
+        elif field.is_repeated:
             out[field.name] = [_as_dict(item) for item in value]
+        elif message.HasField(field.name):
+            out[field.name] = _as_dict(value)
+        else:  # one level only: a type may hold itself
+            plain = (inner for inner in field.message_type.fields if inner.message_type is None)
+            out[field.name] = {inner.name: inner.default_value for inner in plain}
     return out
+
+
+def _one_line(error: Exception) -> str:
+    return printable(" ".join(f"{type(error).__name__}: {error}".split()), 200)

@@ -197,14 +197,14 @@ class Recording:
         try:
             for opcode, start, stop in records(unpacked, 0, len(unpacked)):
                 if opcode in (_SCHEMA, _CHANNEL):
-                    self._define(opcode, unpacked[start:stop], start)
+                    self._define(opcode, bytes(unpacked[start:stop]), start)
         except DamagedError as error:
             raise self._damaged(chunk, error) from error
         found = self._heads(np.frombuffer(unpacked, dtype=np.uint8), begin, end)["channel"]
         ids, numbers = np.unique(found, return_counts=True)
         return dict(zip(ids.tolist(), numbers.tolist(), strict=True))
 
-    def _open(self, chunk: Chunk, channels: frozenset[int] | None = None) -> tuple[bytes, Ints, Ints]:
+    def _open(self, chunk: Chunk, channels: frozenset[int] | None = None) -> tuple[Buffer, Ints, Ints]:
         """The chunk's bytes and the bounds of all its messages, or of at least those on `channels`."""
         try:
             unpacked = unpack_chunk(self._data, chunk)
@@ -225,7 +225,9 @@ class Recording:
 
     def _pick(self, data: Bytes, begin: Ints, end: Ints, channels: frozenset[int]) -> Messages:
         heads = self._heads(data, begin, end)
-        keep = np.isin(heads["channel"], sorted(channels))
+        wanted = np.zeros(1 << 16, dtype=bool)
+        wanted[sorted(channels)] = True
+        keep = wanted[heads["channel"]]
         log = heads["log"][keep]
         if len(log) and log.max() > np.iinfo(np.int64).max:
             raise InputError(self.name, "the MCAP file is damaged: a log time lies after the year 2262")

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 from flexmap_tasks.errors import InputError
 from flexmap_tasks.formats.mcap_records import Recording, Schema
+from flexmap_tasks.formats.track_rows import printable
 
 _NO_SCHEMA = Schema("", "", b"")
 LISTED_TOPICS = 40
@@ -29,9 +30,14 @@ class Topic:
     count: int
 
     def __str__(self) -> str:
-        kind = self.kind or "no schema"
-        of = f"{kind}, " if self.encoding == "cdr" else f"{kind} in {self.encoding or 'no encoding'}, "
-        return f"{self.name} ({of}{self.count:,} messages)"
+        kind = printable(self.kind) or "no schema"
+        where = "" if self.encoding == "cdr" else f" in {printable(self.encoding) or 'no encoding'}"
+        return f"{self.label} ({kind}{where}, {self.count:,} messages)"
+
+    @property
+    def label(self) -> str:
+        """The name as it may stand in a message."""
+        return printable(self.name)
 
 
 def topics_of(recording: Recording) -> list[Topic]:

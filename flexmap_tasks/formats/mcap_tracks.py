@@ -15,7 +15,7 @@ from flexmap_tasks.formats.cdr import CdrError
 from flexmap_tasks.formats.mcap_records import Messages, Recording, open_recording
 from flexmap_tasks.formats.mcap_ros import Decoded, Decoder
 from flexmap_tasks.formats.mcap_topics import Topic, choose_topic, topics_of
-from flexmap_tasks.formats.track_rows import Rows
+from flexmap_tasks.formats.track_rows import Rows, printable
 from flexmap_tasks.model.arrays import Ints
 
 _FOXGLOVE = ("protobuf", "json")
@@ -40,6 +40,9 @@ T = TypeVar("T")
 
 WHOLE_PIECE_SHARE = 0.1
 """A chunk is kept whole where the wanted messages fill at least this share of it."""
+
+CLOCKS_APART_NS = 60_000_000_000
+"""Stamps this far from the log time come from another clock; less is the delay of logging."""
 
 LISTED_PAIRS = 30
 """An error lists at most this many frame pairs."""
@@ -97,10 +100,10 @@ def _read_transforms(recording: Recording, topic: str | None, parent: str, child
         if len(rows):
             found.append(rows)
     if not found:
-        pairs = "; ".join(f"{t.name} has {_pairs(recording, t)}" for t in topics)
+        pairs = "; ".join(f"{t.label} has {_pairs(recording, t)}" for t in topics)
         raise InputError(recording.name, f"no transform {parent} -> {child}; {pairs}")
     if len(found) > 1:
-        names = ", ".join(t.name for t in topics)
+        names = ", ".join(t.label for t in topics)
         raise InputError(
             recording.name, f"several topics hold {parent} -> {child}: name one of {names} as `slam.topic`"
         )
@@ -130,7 +133,7 @@ def _read_path(recording: Recording, topic: Topic) -> Rows:
     stamps = poses.stamp_ns
     # Many nodes fill in one time, or none, for all poses: that is no time of a pose.
     timed = bool((stamps > 0).all()) and len(np.unique(stamps)) == len(stamps)
-    place = f"topic {topic.name} message {number + 1} pose"
+    place = f"topic {topic.label} message {number + 1} pose"
     return Rows(poses.values, stamps if timed else None, lambda row: f"{place} {row + 1}", topic.kind)
 
 
@@ -138,31 +141,40 @@ def _read_foxglove(recording: Recording, topic: Topic) -> Rows:
     try:
         fields = mcap_foxglove.fields_reader(topic.schema, topic.encoding)
     except mcap_foxglove.SchemaError as error:
-        raise InputError(recording.name, str(error), f"schema {topic.schema.name}") from error
+        raise InputError(recording.name, str(error), f"schema {printable(topic.schema.name)}") from error
     if topic.kind == "foxglove.PosesInFrame":
-        raw = _raw(recording, topic)
-        poses = _guard(recording, topic, lambda: mcap_foxglove.longest_poses(raw, fields))
-        return Rows(poses.values, None, lambda row: f"topic {topic.name} pose {row + 1}", topic.kind)
+        raw = (message for piece in _pieces(recording, topic) for message in _slices(piece))
+        poses = _guard(recording, topic, lambda: mcap_foxglove.longest_poses(map(bytes, raw), fields))
+        return Rows(poses.values, None, lambda row: f"topic {topic.label} pose {row + 1}", topic.kind)
     read = mcap_foxglove.location_fixes if topic.kind in FIX_KINDS else mcap_foxglove.poses_in_frame
-    log_time = np.concatenate([piece.log_time_ns for piece in _pieces(recording, topic)])
-    return _rows(recording, topic, log_time, lambda: read(_raw(recording, topic), fields))
+    messages = _columns(recording, topic)
+    return _rows(recording, topic, messages.log_time_ns, lambda: read(map(bytes, _slices(messages)), fields))
 
 
 def _rows(recording: Recording, topic: Topic, log_time_ns: Ints, decode: Callable[[], Decoded]) -> Rows:
     """Rows with the header's time or, where it is not set, the time the message was logged."""
     decoded = _guard(recording, topic, decode)
     message = decoded.message
-    stamps = np.where(decoded.stamp_ns > 0, decoded.stamp_ns, log_time_ns[message])
+    stamps = _fill_stamps(decoded.stamp_ns, log_time_ns[message])
     return Rows(
-        decoded.values, stamps, lambda row: f"topic {topic.name} message {message[row] + 1}", topic.kind
+        decoded.values, stamps, lambda row: f"topic {topic.label} message {message[row] + 1}", topic.kind
     )
+
+
+def _fill_stamps(stamp_ns: Ints, log_time_ns: Ints) -> Ints:
+    given = stamp_ns > 0
+    lags = np.sort(log_time_ns[given] - stamp_ns[given])
+    lag = lags[len(lags) // 2] if len(lags) else np.int64(0)
+    # A node on simulated time stamps 0 until it hears the clock: its log time is put onto that clock.
+    shift = lag if abs(lag) > CLOCKS_APART_NS else np.int64(0)
+    return np.where(given, stamp_ns, log_time_ns - shift)
 
 
 def _guard(recording: Recording, topic: Topic, read: Callable[[], T], first: int = 0) -> T:
     try:
         return read()
     except CdrError as error:
-        where = f"topic {topic.name} message {first + error.row + 1}"
+        where = f"topic {topic.label} message {first + error.row + 1}"
         rule = f"{error.rule}; it is no valid {topic.kind}: record again or name another topic"
         raise InputError(recording.name, rule, where) from error
 
@@ -175,11 +187,6 @@ def _pieces(recording: Recording, topic: Topic) -> Iterator[Messages]:
     return (piece for piece in recording.messages(topic.channels) if len(piece))
 
 
-def _raw(recording: Recording, topic: Topic) -> Iterator[bytes]:
-    for piece in _pieces(recording, topic):
-        yield from map(bytes, _slices(piece))
-
-
 def _slices(piece: Messages) -> Iterator[memoryview]:
     whole = piece.data.data
     bounds = zip(piece.begin.tolist(), piece.end.tolist(), strict=True)
@@ -187,26 +194,24 @@ def _slices(piece: Messages) -> Iterator[memoryview]:
 
 
 def _columns(recording: Recording, topic: Topic) -> Messages:
-    """All messages of a topic in one buffer."""
-    pieces = list(_pieces(recording, topic))
-    parts: list[memoryview] = []
+    """All messages of a topic in one buffer, which holds at most 1 / WHOLE_PIECE_SHARE times their bytes."""
+    parts: list[bytes | memoryview] = []
     begins: list[Ints] = []
+    lengths: list[Ints] = []
+    log_times: list[Ints] = []
     size = 0
-    for piece in pieces:
+    for piece in _pieces(recording, topic):
         length = piece.end - piece.begin
-        if WHOLE_PIECE_SHARE * len(piece.data) <= length.sum():
-            # One copy of a whole chunk is faster than one of each message, where most of it is wanted.
-            begins.append(size + piece.begin)
-            parts.append(piece.data.data)
-            size += len(piece.data)
-        else:
-            begins.append(size + np.cumsum(length) - length)
-            parts.extend(_slices(piece))
-            size += int(length.sum())
-    data = np.frombuffer(b"".join(parts), dtype=np.uint8)
+        # One copy of a whole chunk is faster than one of each message, where most of it is wanted.
+        whole = WHOLE_PIECE_SHARE * len(piece.data) <= length.sum()
+        parts.append(piece.data.data if whole else b"".join(_slices(piece)))
+        begins.append(size + (piece.begin if whole else np.cumsum(length) - length))
+        lengths.append(length)
+        log_times.append(piece.log_time_ns)
+        size += len(parts[-1])
     begin = np.concatenate(begins)
-    length = np.concatenate([piece.end - piece.begin for piece in pieces])
-    return Messages(data, begin, begin + length, np.concatenate([piece.log_time_ns for piece in pieces]))
+    data = np.frombuffer(b"".join(parts), dtype=np.uint8)
+    return Messages(data, begin, begin + np.concatenate(lengths), np.concatenate(log_times))
 
 
 def _pairs(recording: Recording, topic: Topic) -> str:
@@ -216,4 +221,4 @@ def _pairs(recording: Recording, topic: Topic) -> str:
     except CdrError as error:
         return f"unreadable ({error.rule})"
     more = f" and {len(pairs) - LISTED_PAIRS} more" if len(pairs) > LISTED_PAIRS else ""
-    return ", ".join(f"{parent} -> {child}" for parent, child in pairs[:LISTED_PAIRS]) + more
+    return ", ".join(printable(f"{parent} -> {child}") for parent, child in pairs[:LISTED_PAIRS]) + more

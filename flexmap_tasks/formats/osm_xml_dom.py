@@ -66,9 +66,8 @@ def _root(data: bytes, name: str) -> etree._Element:
         root = etree.fromstring(data, _parser())
     except etree.XMLSyntaxError as error:
         where = f"line {error.lineno}" if error.lineno else None
-        raise InputError(
-            name, f"no complete XML: {error.msg}; the file is damaged or cut off", where
-        ) from None
+        found = (error.msg or "nothing to read").split(", line ")[0]
+        raise InputError(name, f"no complete XML: {found}; the file is damaged or cut off", where) from None
     if root.tag != "osm":
         raise InputError(
             name, f"expected an OSM file with the root element <osm>, found <{root.tag!s}>", "line 1"

@@ -37,3 +37,9 @@ class Rows:
     def __post_init__(self) -> None:
         require(self.values.ndim == 2, "rows are a table")
         require(self.stamp_ns is None or len(self.stamp_ns) == len(self.values), "stamps differ in length")
+
+
+def printable(text: str, limit: int = 100) -> str:
+    """Text of a file as it may stand in a message: one line, no control characters, not too long."""
+    short = text if len(text) <= limit else f"{text[: limit - 3]}..."
+    return "".join(letter if letter.isprintable() else "\N{REPLACEMENT CHARACTER}" for letter in short)

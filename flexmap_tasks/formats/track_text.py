@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from flexmap_tasks.errors import InputError
 from flexmap_tasks.formats.mcap_records import MAGIC
-from flexmap_tasks.formats.track_rows import FIX_COLUMNS, POSE_COLUMNS, Rows
+from flexmap_tasks.formats.track_rows import FIX_COLUMNS, POSE_COLUMNS, Rows, printable
 from flexmap_tasks.model.arrays import Floats, Ints
 from flexmap_tasks.model.tracks import STATUS_UNKNOWN
 
@@ -196,5 +196,4 @@ def _is_number(word: str) -> bool:
 
 
 def _shown(line: str) -> str:
-    short = line if len(line) <= 60 else f"{line[:57]}..."
-    return f'"{short}"'
+    return f'"{printable(line, 60)}"'

@@ -53,4 +53,5 @@ def _with_short_runs(step: Floats, broken: Bools) -> Bools:
     run = np.cumsum(broken)
     length = np.bincount(run, np.where(broken, 0.0, step))
     between = (run > 0) & (run < run[-1])
-    return broken | (between & (length[run] < SHORT_RUN_M))
+    out: Bools = broken | (between & (length[run] < SHORT_RUN_M))
+    return out

@@ -66,7 +66,7 @@ def fractions(offset: Ints, xyz_m: Floats) -> Floats:
     total = np.repeat(along[offset[1:] - 1], size)
     place = np.arange(len(along)) - np.repeat(offset[:-1], size)
     by_count = place / np.repeat(np.maximum(size - 1, 1), size)
-    share = np.divide(along, total, out=by_count, where=total > 0)
+    share: Floats = np.divide(along, total, out=by_count, where=total > 0)
     share[offset[1:] - 1] = 1.0
     return share
 

@@ -54,7 +54,8 @@ def nearest_on_polyline(points: Floats, line: Floats, usable: Bools | None = Non
     rows = np.arange(len(line) - 1) if usable is None else np.flatnonzero(usable)
     if len(rows) == 0 or len(points) == 0:
         return Nearest(np.full(len(points), np.nan), np.zeros(len(points), np.int64), np.zeros(len(points)))
-    segments = shapely.linestrings(np.stack([line[rows], line[rows + 1]], axis=1))
+    ends = np.round(np.stack([line[rows], line[rows + 1]], axis=1), 9)  # GEOS fails at steps of 1e-200
+    segments = shapely.linestrings(ends)
     found, near = shapely.STRtree(segments).query_nearest(shapely.points(points), all_matches=True)
     first = np.flatnonzero(np.diff(found, prepend=-1))
     nearest = rows[np.minimum.reduceat(near, first)]  # ties to the earlier segment, whatever the index

@@ -67,7 +67,8 @@ def cut(offset: Ints, xy_m: Floats, longest_m: float) -> Segments:
     keep = step > SHORTEST_M
     keep[offset[:-1][np.diff(offset) > 0]] = True
     vertex = np.flatnonzero(keep)
-    line, at = line_of[vertex], along_m(offset, xy_m)[vertex]
+    drawn = np.append(offset[:-1][np.diff(offset) > 0], offset[-1])
+    line, at = line_of[vertex], along_m(drawn, xy_m)[vertex]
     i = np.flatnonzero(line[:-1] == line[1:])
     count = np.maximum(np.ceil((at[i + 1] - at[i]) / longest_m - 1e-9), 1).astype(np.int64)
     start = offsets(count)

@@ -128,7 +128,7 @@ def _halfplanes(corners: Floats) -> Floats:
     return np.concatenate([normal, -(normal * start).sum(axis=-1, keepdims=True)], axis=-1)
 
 
-@njit(cache=True, nogil=True)  # type: ignore[untyped-decorator]
+@njit(cache=True, nogil=True)
 def _touch(planes, cx, cy, hx, hy):  # type: ignore[no-untyped-def]  # pragma: no cover
     """0 the cell is apart from the triangle, 1 it touches, 2 it lies wholly inside."""
     inside = True
@@ -141,7 +141,7 @@ def _touch(planes, cx, cy, hx, hy):  # type: ignore[no-untyped-def]  # pragma: n
     return 2 if inside else 1
 
 
-@njit(cache=True, nogil=True)  # type: ignore[untyped-decorator]
+@njit(cache=True, nogil=True)
 def _rasterise(planes, boxes, grid, nx, ny):  # type: ignore[no-untyped-def]  # pragma: no cover
     hx, hy = 0.5 / grid[2], 0.5 / grid[3]
     cell = np.full(nx * ny, -1, np.int32)
@@ -181,7 +181,7 @@ def _rasterise(planes, boxes, grid, nx, ny):  # type: ignore[no-untyped-def]  # 
     return cell, lists
 
 
-@njit(cache=True, nogil=True)  # type: ignore[untyped-decorator]
+@njit(cache=True, nogil=True)
 def _find(planes, first, last, lists, x, y):  # type: ignore[no-untyped-def]  # pragma: no cover
     """The first triangle of a cell's list that holds the point; -1 none."""
     for k in range(first, last):
@@ -195,7 +195,7 @@ def _find(planes, first, last, lists, x, y):  # type: ignore[no-untyped-def]  # 
     return np.int64(-1)
 
 
-@njit(cache=True, nogil=True)  # type: ignore[untyped-decorator]
+@njit(cache=True, nogil=True)
 def _locate(planes, grid, nx, ny, cell, lists, xyz, out):  # type: ignore[no-untyped-def]  # pragma: no cover
     x0, y0, per_x, per_y = grid[0], grid[1], grid[2], grid[3]
     wide, high = float(nx), float(ny)
@@ -212,7 +212,7 @@ def _locate(planes, grid, nx, ny, cell, lists, xyz, out):  # type: ignore[no-unt
         out[n] = t if t >= 0 else len(planes)
 
 
-@njit(cache=True, nogil=True)  # type: ignore[untyped-decorator]
+@njit(cache=True, nogil=True)
 def _move(affine, rows, xyz, out):  # type: ignore[no-untyped-def]  # pragma: no cover
     """Apply the affine map affine[rows[n]], flat runs of six, to every point."""
     for n in range(len(xyz)):

@@ -29,6 +29,7 @@ def track_box(fixes: GnssFixes, params: OsmFetchParams) -> GeoBox:
     """
     lon, lat = fixes.lon_deg, fixes.lat_deg
     usable = (fixes.status != STATUS_NONE) & (np.abs(lon) <= 180) & (np.abs(lat) <= 90)
+    usable &= (lon != 0) | (lat != 0)  # what receivers write that know nothing
     if not usable.any():
         raise InputError("GNSS", "no fix has a position; OpenStreetMap cannot be fetched around the track")
     west, east = float(lon[usable].min()), float(lon[usable].max())

@@ -180,7 +180,9 @@ class Warp:
         Inside the box it gives the same bits as the whole; outside of it, nothing is promised. What lies
         elsewhere in the whole warp does not change this value, so it can name the result of a tile.
         """
-        motion = RigidMotion(self.motion.rotation, self.motion.translation_m, self.motion.grid_scale, 1.0, 0.0)
+        motion = RigidMotion(
+            self.motion.rotation, self.motion.translation_m, self.motion.grid_scale, 1.0, 0.0
+        )
         if self.sheet is None:
             return Warp(motion, None)
         sheet, moving = self.sheet, motion.inverse().apply_xy(self.sheet.source_xy_m)

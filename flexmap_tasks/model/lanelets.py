@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from enum import IntEnum
 from typing import Literal
 
 import numpy as np
@@ -60,6 +61,30 @@ def lanelet_relations(document: OsmDocument) -> Ints:
     return np.flatnonzero(wanted & ~deleted)
 
 
+class BoundState(IntEnum):
+    """What a lanelet's bound on one side is."""
+
+    GOOD = 0
+    MISSING = 1
+    SEVERAL = 2
+    SHORT = 3
+
+
+def bounds(document: OsmDocument, relation_rows: Ints, side: Literal["left", "right"]) -> tuple[Ints, Ints]:
+    """(k,) row of the way that bounds each lanelet on one side, -1 unless there is exactly one; and BoundState."""
+    relations = document.relations
+    hit = np.flatnonzero((relations.member_role == side) & (relations.member_type == "way"))
+    owner = np.searchsorted(relations.offset, hit, side="right") - 1
+    count = np.bincount(owner, minlength=len(relations.id))
+    way = np.full(len(relations.id), -1, dtype=np.int64)
+    way[owner] = rows_of(document.ways.id, relations.member_ref[hit])
+    way[count != 1] = -1
+    long_enough = np.append(_usable_ways(document), True)[way]
+    state = np.where(way < 0, BoundState.MISSING, np.where(long_enough, BoundState.GOOD, BoundState.SHORT))
+    state[count > 1] = BoundState.SEVERAL
+    return way[relation_rows], state[relation_rows].astype(np.int64)
+
+
 def lanelets_of(lanelet_map: LaneletMap) -> Lanelets:
     """The lanelets with exactly one left and one right way, each of at least two different nodes.
 
@@ -68,9 +93,9 @@ def lanelets_of(lanelet_map: LaneletMap) -> Lanelets:
     """
     document = lanelet_map.document
     rows = lanelet_relations(document)
-    left, right = (_single_member(document, rows, role) for role in ("left", "right"))
-    usable = _usable_ways(document)
-    good = (left >= 0) & (right >= 0) & usable[left] & usable[right] if len(usable) else left >= 0
+    left, left_state = bounds(document, rows, "left")
+    right, right_state = bounds(document, rows, "right")
+    good = (left_state == BoundState.GOOD) & (right_state == BoundState.GOOD)
     rows, left, right = rows[good], left[good], right[good]
     left_inverted, right_inverted = _orient(lanelet_map, left, right)
     subtype = document.relations.tags.column("subtype")[rows]
@@ -151,18 +176,6 @@ def adjacency(lanelets: Lanelets) -> Adjacency:
     order = np.lexsort((~same, ~on_left, b, a))
     order = order[a[order] != b[order]]
     return Adjacency(a[order], b[order], on_left[order], same[order])
-
-
-def _single_member(document: OsmDocument, relation_rows: Ints, role: str) -> Ints:
-    """(k,) row of the one way with this role in each relation; -1 unless there is exactly one."""
-    relations = document.relations
-    hit = np.flatnonzero((relations.member_role == role) & (relations.member_type == "way"))
-    owner = np.searchsorted(relations.offset, hit, side="right") - 1
-    count = np.bincount(owner, minlength=len(relations.id))
-    way = np.full(len(relations.id), -1, dtype=np.int64)
-    way[owner] = rows_of(document.ways.id, relations.member_ref[hit])
-    way[count != 1] = -1
-    return way[relation_rows]
 
 
 def _usable_ways(document: OsmDocument) -> Bools:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 
@@ -124,6 +125,8 @@ class OsmWays:
     attributes, tags, position : as for nodes
     """
 
+    lists: ClassVar[tuple[str, ...]] = ("ref",)
+
     id: Ints
     offset: Ints
     ref: Ints
@@ -140,6 +143,8 @@ class OsmRelations:
     member_type : (m,) str, "node", "way" or "relation"; member_ref : (m,) int64; member_role : (m,) str
     attributes, tags, position : as for nodes
     """
+
+    lists: ClassVar[tuple[str, ...]] = ("member_type", "member_ref", "member_role")
 
     id: Ints
     offset: Ints

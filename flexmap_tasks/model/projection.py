@@ -60,8 +60,10 @@ class Projection:
 
     def to_xy_m(self, lonlat_deg: Floats) -> Floats:
         """(n, 2) metres in the map frame of (n, 2) longitude and latitude in degrees; NaN stays NaN."""
-        return utm.to_utm(lonlat_deg, self.epsg) - (self.origin_easting_m, self.origin_northing_m)
+        origin: Floats = np.array([self.origin_easting_m, self.origin_northing_m])
+        xy: Floats = utm.to_utm(lonlat_deg, self.epsg) - origin
+        return xy
 
     def to_lonlat_deg(self, xy_m: Floats) -> Floats:
         """(n, 2) longitude and latitude in degrees of (n, 2) metres in the map frame; NaN stays NaN."""
-        return utm.to_lonlat(xy_m + (self.origin_easting_m, self.origin_northing_m), self.epsg)
+        return utm.to_lonlat(xy_m + np.array([self.origin_easting_m, self.origin_northing_m]), self.epsg)

@@ -59,6 +59,7 @@ class LaneNetwork:
 
     xyz : (n, 3) points; strips in a fixed order; followers : per strip the strips after it
     trims : (road, at_end) -> metres of the road's line that belong to the junction
+    road_strips : rows of the lanes of every road, turns left out
     """
 
     network: Network
@@ -66,6 +67,7 @@ class LaneNetwork:
     strips: list[Strip]
     followers: list[list[int]]
     trims: dict[Arm, float]
+    road_strips: dict[int, list[int]]
 
     def centreline(self, strip: Strip) -> Floats:
         """(n, 3) mean of both bounds."""
@@ -94,7 +96,10 @@ def make_lanes(network: Network, spacing_m: float, shoulders: bool) -> LaneNetwo
             if strip.drivable:
                 ends.setdefault((i, strip.direction), []).append(len(strips))
             strips.append(strip)
-    lanes = LaneNetwork(network, np.vstack(build.points), strips, [[] for _ in strips], trims)
+    by_road: dict[int, list[int]] = {}
+    for k, strip in enumerate(strips):
+        by_road.setdefault(strip.road, []).append(k)
+    lanes = LaneNetwork(network, np.vstack(build.points), strips, [[] for _ in strips], trims, by_road)
     for node, arms in enumerate(network.arms()):
         _junction(build, lanes, ends, node, arms, spacing_m)
     lanes.xyz = np.vstack(build.points)

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import ingest_track_recordings as rec
 import numpy as np
 import pytest
-import recordings as rec
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from ingest_track_recordings import Layout
+from mcap.reader import make_reader
 from mcap.writer import CompressionType
-from recordings import Layout
 
 from flexmap_tasks.config import GnssParams, SlamParams
 from flexmap_tasks.errors import InputError
@@ -41,7 +42,9 @@ def slam(path, **params):
 
 
 def some_fixes(n=7):
-    return [rec.fix(T0 + i * STEP, (48.0 + i * 1e-5, 11.0 - i * 1e-5, 500.0 + i), "g" * (i % 4)) for i in range(n)]
+    return [
+        rec.fix(T0 + i * STEP, (48.0 + i * 1e-5, 11.0 - i * 1e-5, 500.0 + i), "g" * (i % 4)) for i in range(n)
+    ]
 
 
 def values(i):
@@ -129,9 +132,13 @@ def test_a_frame_pair_of_transforms(tmp_path):
     file = rec.write(tmp_path / "a.mcap", [static, *(message(i) for i in range(6))])
     poses = slam(file, parent_frame="map", child_frame="base")
     np.testing.assert_allclose(np.hstack([poses.xyz_m, poses.quaternion]), expected_poses(6), rtol=1e-15)
-    with pytest.raises(InputError, match=r"no transform map -> wheel; /tf has .*base -> wheel.*/tf_static has base -> lidar"):
+    with pytest.raises(
+        InputError, match=r"no transform map -> wheel; /tf has .*base -> wheel.*/tf_static has base -> lidar"
+    ):
         slam(file, parent_frame="map", child_frame="wheel")
-    with pytest.raises(InputError, match=r"needs slam\.parent_frame and slam\.child_frame; frames are: .*map -> base"):
+    with pytest.raises(
+        InputError, match=r"needs slam\.parent_frame and slam\.child_frame; frames are: .*map -> base"
+    ):
         slam(file, topic="/tf")
     with pytest.raises(InputError, match="give both or none"):
         slam(file, parent_frame="map")
@@ -199,10 +206,31 @@ def test_log_time_stands_in_for_a_missing_stamp_and_rows_are_sorted(tmp_path):
     stamps = [T0 + 30, 0, T0 + 10, T0 + 10, T0]
     logs = [T0 + 31, T0 + 20, T0 + 11, T0 + 12, T0 + 1]
     places = [(48.0, 11.0, float(i)) for i in range(5)]
-    records = [rec.ros_record("/fix", log, rec.fix(s, p)) for s, log, p in zip(stamps, logs, places, strict=True)]
+    records = [
+        rec.ros_record("/fix", log, rec.fix(s, p)) for s, log, p in zip(stamps, logs, places, strict=True)
+    ]
     fixes = gnss(rec.write(tmp_path / "a.mcap", records))
     np.testing.assert_array_equal(fixes.stamp_ns, [T0, T0 + 10, T0 + 20, T0 + 30])
     np.testing.assert_array_equal(fixes.alt_m, [4.0, 2.0, 1.0, 0.0])
+
+
+def test_a_missing_stamp_is_put_onto_the_clock_of_the_others(tmp_path):
+    ahead = 10**18
+    stamps = [0, 10, 20, 30]
+    records = [
+        rec.ros_record("/fix", ahead + 10 * i, rec.fix(s, (48.0, 11.0, float(i))))
+        for i, s in enumerate(stamps, start=1)
+    ]
+    fixes = gnss(rec.write(tmp_path / "a.mcap", records))
+    np.testing.assert_array_equal(fixes.stamp_ns, [0, 10, 20, 30])
+    np.testing.assert_array_equal(fixes.alt_m, [1.0, 2.0, 3.0, 4.0])
+
+
+def test_control_characters_do_not_reach_the_terminal(tmp_path):
+    records = [rec.ros_record(topic, T0, some_fixes(1)[0]) for topic in ("/a\n\x1b[31m", "/b")]
+    with pytest.raises(InputError) as caught:
+        gnss(rec.write(tmp_path / "a.mcap", records))
+    assert str(caught.value).isprintable()
 
 
 def test_fixes_without_position_stay_marked_and_unknown_covariance_is_nan(tmp_path):
@@ -248,18 +276,27 @@ def test_bad_fixes(tmp_path, messages, match):
     ],
 )
 def test_bad_poses(tmp_path, poses, match):
-    messages = [rec.ros_record("/p", T0, rec.pose_stamped(T0 + i, [*map(float, p)])) for i, p in enumerate(poses)]
+    messages = [
+        rec.ros_record("/p", T0, rec.pose_stamped(T0 + i, [*map(float, p)])) for i, p in enumerate(poses)
+    ]
     with pytest.raises(InputError, match=match):
         slam(rec.write(tmp_path / "a.mcap", messages))
 
 
 def test_topics_are_listed_when_none_or_several_fit(tmp_path):
-    records = [rec.ros_record("/a", T0, f) for f in some_fixes(2)] + [rec.ros_record("/b", T0, f) for f in some_fixes(3)]
+    records = [rec.ros_record("/a", T0, f) for f in some_fixes(2)] + [
+        rec.ros_record("/b", T0, f) for f in some_fixes(3)
+    ]
     file = rec.write(tmp_path / "a.mcap", records)
-    with pytest.raises(InputError, match=r"several topics .*`gnss.topic`.*/a \(sensor_msgs/NavSatFix, 2 messages\); /b .*3 messages"):
+    with pytest.raises(
+        InputError,
+        match=r"several topics .*`gnss.topic`.*/a \(sensor_msgs/NavSatFix, 2 messages\); /b .*3 messages",
+    ):
         gnss(file)
     assert len(gnss(file, topic="/b")) == 3
-    with pytest.raises(InputError, match=r"no topic holds SLAM poses.*nav_msgs/Odometry.*topics are: /a .*/b "):
+    with pytest.raises(
+        InputError, match=r"no topic holds SLAM poses.*nav_msgs/Odometry.*topics are: /a .*/b "
+    ):
         slam(file)
     with pytest.raises(InputError, match=r"there is no topic /c; topics are: /a"):
         gnss(file, topic="/c")
@@ -270,8 +307,6 @@ def test_topics_are_listed_when_none_or_several_fit(tmp_path):
 
 
 def test_the_real_recording_agrees_with_rosbags(shared_data):
-    from mcap.reader import make_reader
-
     file = shared_data / "mcap" / "nav2_turtlebot.mcap"
     for topic, count in (("/odom", 2639), ("/amcl_pose", 135)):
         poses = slam(file, topic=topic)
@@ -285,8 +320,33 @@ def test_the_real_recording_agrees_with_rosbags(shared_data):
         assert len(poses) == count == len(read)
         np.testing.assert_array_equal(poses.xyz_m, position)
         np.testing.assert_array_equal(poses.stamp_ns, stamps)
-    transforms = slam(file, parent_frame="odom", child_frame="base_link")
-    assert len(transforms) > 2000
+    poses = slam(file, parent_frame="odom", child_frame="base_link")
+    with file.open("rb") as stream:
+        messages = [
+            rec.ROS.deserialize_cdr(message.data, schema.name)
+            for schema, _, message in make_reader(stream).iter_messages(topics=["/tf"], log_time_order=False)
+        ]
+    pairs = [
+        t
+        for m in messages
+        for t in m.transforms
+        if (t.header.frame_id, t.child_frame_id) == ("odom", "base_link")
+    ]
+    read = {t.header.stamp.sec * 10**9 + t.header.stamp.nanosec: t.transform for t in reversed(pairs)}
+    np.testing.assert_array_equal(poses.stamp_ns, sorted(read))
+    moved = [read[stamp].translation for stamp in sorted(read)]
+    np.testing.assert_array_equal(poses.xyz_m, [(t.x, t.y, t.z) for t in moved])
+    assert len(poses) > 2000
+
+
+def test_transforms_do_not_compete_with_a_topic_of_poses(tmp_path):
+    transforms = [rec.ros_record("/tf", T0, rec.transforms([rec.transform(T0, values(1), "a", "b")]))]
+    odometry = [rec.ros_record("/odom", T0, m) for m in some_odometry(4)]
+    assert len(slam(rec.write(tmp_path / "a.mcap", transforms + odometry))) == 4
+    with pytest.raises(
+        InputError, match=r"/tf .* needs slam\.parent_frame and slam\.child_frame; frames are: a -> b"
+    ):
+        slam(rec.write(tmp_path / "b.mcap", transforms))
 
 
 reals = st.floats(-1e6, 1e6)
@@ -305,7 +365,8 @@ a_fix = st.tuples(
 )
 def test_what_is_written_is_read(tmp_path, fixes, poses, compression, chunk_size):
     records = [
-        rec.ros_record("/fix", T0, rec.fix(T0 + i, f[:3], f[4], status=f[3]), little=f[5]) for i, f in enumerate(fixes)
+        rec.ros_record("/fix", T0, rec.fix(T0 + i, f[:3], f[4], status=f[3]), little=f[5])
+        for i, f in enumerate(fixes)
     ]
     fixed = [values(0), values(1), values(2)]
     odometry = [rec.odometry(T0 + i, v) for i, v in enumerate(fixed)]

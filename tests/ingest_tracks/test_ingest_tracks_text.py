@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from evo.tools import file_interface
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
@@ -17,7 +18,9 @@ from flexmap_tasks.model.tracks import STATUS_UNKNOWN
 
 KITTI = "1 0 0 {} 0 1 0 2 0 0 1 3\n"
 TUM = "{} {} 2 3 0 0 0 1\n"
-SETTINGS = settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+SETTINGS = settings(
+    max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+)
 
 
 def saved(tmp_path, text):
@@ -37,14 +40,15 @@ def test_the_garching_fixes(shared_data):
 
 
 def test_the_garching_poses_agree_with_evo(shared_data):
-    from evo.tools import file_interface
-
     file = shared_data / "garching" / "route1_pose_kitti.txt"
     poses = ingest_slam(Source("slam", file), SlamParams())
     judge = file_interface.read_kitti_poses_file(file)
     assert len(poses) == 1208
     np.testing.assert_array_equal(poses.xyz_m, judge.positions_xyz)
-    turn = Rotation.from_quat(poses.quaternion) * Rotation.from_quat(judge.orientations_quat_wxyz[:, [1, 2, 3, 0]]).inv()
+    turn = (
+        Rotation.from_quat(poses.quaternion)
+        * Rotation.from_quat(judge.orientations_quat_wxyz[:, [1, 2, 3, 0]]).inv()
+    )
     assert turn.magnitude().max() < 1e-7
 
 
@@ -161,4 +165,4 @@ def test_any_bytes_end_in_a_table_or_one_line(tmp_path, data):
         try:
             assert len(read(saved(tmp_path, data))) > 0
         except InputError as error:
-            assert str(error).startswith("track.txt")
+            assert str(error).startswith("track.txt")  # noqa: PT017 - either outcome is right

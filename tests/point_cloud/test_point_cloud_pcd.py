@@ -17,6 +17,7 @@ from flexmap_tasks.errors import InputError
 from flexmap_tasks.formats.pcd import PcdReader, pcd_bytes, read_pcd
 from flexmap_tasks.formats.pcd_lzf import BEFORE_START, OVERLONG, TRUNCATED, lzf_decode
 from flexmap_tasks.model.clouds import PointCloud
+from flexmap_tasks.model.source import Source
 
 ENCODINGS = ("ascii", "binary", "binary_compressed")
 SCALARS = ("<i1", "<i2", "<i4", "<i8", "<u1", "<u2", "<u4", "<u8", "<f4", "<f8")
@@ -36,7 +37,9 @@ def clouds(draw: st.DrawFn) -> np.ndarray:
 
 @settings(max_examples=120, deadline=None)
 @given(clouds(), st.sampled_from(ENCODINGS), st.integers(0, 3))
-def test_every_type_and_encoding_reads_back_bit_for_bit(records: np.ndarray, encoding: str, padding: int) -> None:
+def test_every_type_and_encoding_reads_back_bit_for_bit(
+    records: np.ndarray, encoding: str, padding: int
+) -> None:
     with tempfile.TemporaryDirectory() as folder:
         cloud = read_pcd(source(Path(folder), pcd(records, encoding, padding=padding)))
     expected = np.column_stack([records[a].astype("f8") for a in "xyz"])
@@ -97,9 +100,7 @@ def test_real_scans(shared_data: Path) -> None:
         assert pcd_bytes(cloud).split(b"DATA binary\n", 1)[1] == records.tobytes()
 
 
-def source_of(path: Path):  # noqa: ANN201
-    from flexmap_tasks.model.source import Source
-
+def source_of(path: Path) -> Source:
     return Source(path.name, path)
 
 
@@ -119,7 +120,13 @@ def test_ascii_of_other_people_s_taste(tmp_path: Path) -> None:
 
 def test_a_header_may_be_old_or_sparse(tmp_path: Path) -> None:
     records = np.zeros(2, [("x", "<f4"), ("y", "<f4"), ("z", "<f4")])
-    for changes in ({"COUNT": ""}, {"VIEWPOINT": ""}, {"POINTS": ""}, {"WIDTH": "", "HEIGHT": ""}, {"VERSION": ".5"}):
+    for changes in (
+        {"COUNT": ""},
+        {"VIEWPOINT": ""},
+        {"POINTS": ""},
+        {"WIDTH": "", "HEIGHT": ""},
+        {"VERSION": ".5"},
+    ):
         assert len(read_pcd(source(tmp_path, pcd(records, "binary", **changes)))) == 2
     crlf = header(records, "binary").replace(b"\n", b"\r\n") + body(records, "binary")
     assert len(read_pcd(source(tmp_path, crlf))) == 2
@@ -196,15 +203,17 @@ def test_truncated_data_is_refused_wherever_it_ends(tmp_path: Path, encoding: st
     records["x"] = rng.random(4)
     whole, start = pcd(records, encoding), len(header(records, encoding))
     for end in range(start, len(whole) - (2 if encoding == "ascii" else 0)):
-        with pytest.raises(InputError, match="cut off|expected|ends in the middle"):
+        with pytest.raises(InputError, match=r"cut off|expected|ends in the middle"):
             read_pcd(source(tmp_path, whole[:end]))
 
 
 @pytest.mark.parametrize("encoding", ENCODINGS)
 def test_more_data_than_declared_is_refused(tmp_path: Path, encoding: str) -> None:
     more = body(np.concatenate([POINT, POINT]), "ascii" if encoding == "ascii" else "binary")
-    content = header(POINT, encoding) + (body(POINT, encoding) if encoding == "binary_compressed" else b"") + more
-    with pytest.raises(InputError, match="mend POINTS|more lines"):
+    content = (
+        header(POINT, encoding) + (body(POINT, encoding) if encoding == "binary_compressed" else b"") + more
+    )
+    with pytest.raises(InputError, match=r"mend POINTS|more lines"):
         read_pcd(source(tmp_path, content))
 
 
@@ -282,7 +291,10 @@ def test_lzf_is_safe_on_any_bytes(data: bytes, size: int) -> None:
         (b"\x00\x07" + b"\xe0\xff\x00" * 3, "cannot unpack to"),  # 3 tokens of at most 264 bytes
         (b"\x00\x07" + b"\xe0\xff\x00" * 60, "holds more than it declares"),
         (b"\x3f\x10" + b"\x00\x01" * 20, "before its start"),
-        (b"\x1f" + b"\x01" * 5 + b"\x1f" * 60 + b"\xe0", "ends in the middle|unpacks to|holds more|before its start"),
+        (
+            b"\x1f" + b"\x01" * 5 + b"\x1f" * 60 + b"\xe0",
+            "ends in the middle|unpacks to|holds more|before its start",
+        ),
         (b"\x00\x07" * 30, "unpacks to 30 bytes"),
     ],
 )

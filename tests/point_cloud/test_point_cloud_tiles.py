@@ -36,12 +36,16 @@ def records_of(xyz_m: np.ndarray, axis: str = "<f8") -> np.ndarray:
     return out
 
 
-def ingest(records: np.ndarray, params: PointCloudParams = PARAMS, encoding: str = "binary", **changes: str) -> Tiles:
+def ingest(
+    records: np.ndarray, params: PointCloudParams = PARAMS, encoding: str = "binary", **changes: str
+) -> Tiles:
     with tempfile.TemporaryDirectory() as folder:
         return ingest_point_cloud(source(Path(folder), pcd(records, encoding, **changes)), params)
 
 
-COORDINATES = st.floats(-5e4, 5e4) | st.sampled_from([0.0, -0.0, 20.0, -20.0, 39.999999999999993, np.nan, np.inf])
+COORDINATES = st.floats(-5e4, 5e4) | st.sampled_from(
+    [0.0, -0.0, 20.0, -20.0, 39.999999999999993, np.nan, np.inf]
+)
 
 
 @settings(max_examples=80, deadline=None)
@@ -64,7 +68,7 @@ def test_every_usable_point_is_in_exactly_one_tile(xyz_m: np.ndarray, size: int,
         rows = tile.fields["row"]
         assert (np.diff(rows.astype(int)) > 0).all(), "file order"
         np.testing.assert_array_equal(tile.xyz_m, xyz_m[rows])
-        np.testing.assert_array_equal(tile.fields["wide"], rows[:, None].astype(int) + [0, 1])
+        np.testing.assert_array_equal(tile.fields["wide"], rows[:, None].astype(int) + np.arange(2))
         np.testing.assert_array_equal(np.floor(tile.xyz_m[:, :2] / size), [tile_numbers(key)] * len(rows))
         assert tiles.index.key[i] == key
         assert tiles.index.count[i] == len(rows)
@@ -128,13 +132,15 @@ def test_isolated_points_are_left_out_on_request() -> None:
 
 def test_without_its_system_libraries_open3d_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "open3d", None)
-    with pytest.raises(InputError, match=r"^open3d: cannot be imported .*apt-get install libusb-1.0-0 libgomp1$"):
+    with pytest.raises(
+        InputError, match=r"^open3d: cannot be imported .*apt-get install libusb-1.0-0 libgomp1$"
+    ):
         check_open3d()
 
 
 def test_a_viewpoint_is_refused_unless_it_says_nothing() -> None:
     records = records_of(np.ones((3, 3)))
-    with pytest.raises(InputError, match="VIEWPOINT is 1 2 3 1 0 0 0.*viewpoint to ignore"):
+    with pytest.raises(InputError, match=r"VIEWPOINT is 1 2 3 1 0 0 0.*viewpoint to ignore"):
         ingest(records, VIEWPOINT="1 2 3 1 0 0 0")
     ignoring = PointCloudParams(viewpoint="ignore")
     assert ingest(records, ignoring, VIEWPOINT="1 2 3 1 0 0 0").index.count.tolist() == [3]
@@ -176,7 +182,10 @@ def test_real_scans_are_tiled_alike_in_every_encoding(shared_data: Path) -> None
     for i, name in enumerate(records.dtype.names or ()):
         records[name] = raw[:4000, i]
     binary, ascii_, compressed = (
-        {k: (t.xyz_m.tobytes(), t.fields["intensity"].tobytes()) for k, t in ingest(records, PARAMS, e).tiles.items()}
+        {
+            k: (t.xyz_m.tobytes(), t.fields["intensity"].tobytes())
+            for k, t in ingest(records, PARAMS, e).tiles.items()
+        }
         for e in ("binary", "ascii", "binary_compressed")
     )
     assert binary == compressed == ascii_
@@ -192,7 +201,7 @@ def test_a_full_disk_is_one_clear_line(monkeypatch: pytest.MonkeyPatch) -> None:
 
     monkeypatch.setattr("tempfile.TemporaryFile", Full)
     spill = Spill(np.dtype([("x", "<f4")]))
-    with pytest.raises(StoreError, match="No space left on device.*TMPDIR"):
+    with pytest.raises(StoreError, match=r"No space left on device.*TMPDIR"):
         spill.append(np.zeros(3, spill.record_type))
 
 

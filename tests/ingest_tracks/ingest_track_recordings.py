@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from google.protobuf import descriptor_pb2, timestamp_pb2
-from mcap.writer import CompressionType, Writer
+from google.protobuf import descriptor_pb2, descriptor_pool, message_factory, timestamp_pb2
+from mcap.writer import CompressionType, IndexType, Writer
 from rosbags.typesys import Stores, get_typestore
 
 ROS = get_typestore(Stores.ROS2_HUMBLE)
@@ -109,8 +109,6 @@ class Layout:
 
 
 def _index_types(wanted: bool) -> Any:
-    from mcap.writer import IndexType
-
     return IndexType.ALL if wanted else IndexType.NONE
 
 
@@ -126,7 +124,9 @@ class Record:
 
 
 def ros_record(topic: str, log_ns: int, message: Any, little: bool = True) -> Record:
-    return Record(topic, message.__msgtype__, log_ns, cdr(message, little), schema=definition(message.__msgtype__))
+    return Record(
+        topic, message.__msgtype__, log_ns, cdr(message, little), schema=definition(message.__msgtype__)
+    )
 
 
 @cache
@@ -144,9 +144,7 @@ def write(path: Path, records: Iterable[Record], layout: Layout | None = None) -
         if key not in channels:
             kind = (record.kind, record.schema_encoding)
             if kind not in schemas:
-                schemas[kind] = writer.register_schema(
-                    record.kind, record.schema_encoding, record.schema
-                )
+                schemas[kind] = writer.register_schema(record.kind, record.schema_encoding, record.schema)
             channels[key] = writer.register_channel(record.topic, record.encoding, schemas[kind])
         writer.add_message(channels[key], record.log_ns, record.payload, record.log_ns, number)
     writer.finish()
@@ -202,8 +200,6 @@ def foxglove_record(topic: str, kind: str, log_ns: int, content: dict[str, Any],
     if encoding == "json":
         payload, schema = json.dumps(content).encode(), b"{}"
         return Record(topic, f"foxglove.{kind}", log_ns, payload, "json", "jsonschema", schema)
-    from google.protobuf import descriptor_pool, message_factory
-
     files = foxglove_files()
     pool = descriptor_pool.DescriptorPool()
     for file in reversed(files.file):
@@ -217,8 +213,8 @@ def foxglove_record(topic: str, kind: str, log_ns: int, content: dict[str, Any],
 
 
 def _fill(message: Any, content: dict[str, Any]) -> None:
-    for name, value in content.items():
-        name = {"sec": "seconds", "nsec": "nanos"}.get(name, name)
+    for key, value in content.items():
+        name = {"sec": "seconds", "nsec": "nanos"}.get(key, key)
         if isinstance(value, dict):
             _fill(getattr(message, name), value)
             getattr(message, name).SetInParent()

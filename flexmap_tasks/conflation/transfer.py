@@ -1,0 +1,203 @@
+"""Carry OpenStreetMap's values over to the lanelets: decide first, then cut, then write.
+
+Only what is certain is written. What is not stands in the table with action "review" and changes nothing; a tag
+that OSM lacks never empties one of the map.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import replace
+
+import numpy as np
+
+from flexmap_tasks.config import TransferParams
+from flexmap_tasks.conflation.fragments import Removed, fragments, without
+from flexmap_tasks.conflation.lane_check import check_lanes, lane_counts
+from flexmap_tasks.conflation.split import Pieces, cut_map, whole
+from flexmap_tasks.conflation.split_places import CutPlan, plan_cuts
+from flexmap_tasks.conflation.split_wanted import Wanted, wanted_cuts
+from flexmap_tasks.conflation.transfer_table import (
+    Contexts,
+    LaneletFacts,
+    Offers,
+    Rows,
+    contexts_of,
+    decisions,
+    facts_of,
+    offers_of,
+    usable_rows,
+    wrong_way,
+)
+from flexmap_tasks.conflation.transfer_votes import Judged, joined, main_road, ordered, shares_of, transfers
+from flexmap_tasks.engine.stage import stage
+from flexmap_tasks.model.arrays import Bools, Ints, Strings, strings
+from flexmap_tasks.model.conflation import Centerlines, Enriched, LaneCheck, Matches, Transfers
+from flexmap_tasks.model.maps import Findings, LaneletMap, PlacedRoads
+
+
+@stage("enriched")
+def transfer(
+    lanelet_map: LaneletMap,
+    centerlines: Centerlines,
+    matches: Matches,
+    roads: PlacedRoads,
+    params: TransferParams,
+) -> Enriched:
+    """The map with OSM's values on the lanelets, what was done and why, and the lane check.
+
+    Ids of lanelets, ways and nodes stay; a lanelet that is cut keeps its id for the first piece.
+    """
+    facts = facts_of(lanelet_map)
+    removed: list[Removed] = []
+    if params.remove_fragments:
+        removed = _fragments(lanelet_map, facts, centerlines, matches, roads, params)
+        lanelet_map = without(lanelet_map, np.array([r.lanelet_id for r in removed], dtype=np.int64))
+        facts = facts_of(lanelet_map)
+    rows = usable_rows(matches, facts, roads, params)
+    against = wrong_way(rows, facts, roads)
+    offers, contexts = offers_of(rows, roads, params), contexts_of(facts, params)
+    sure = rows.sure & ~against
+    wanted = _wanted(rows, sure, offers, contexts, facts, params) if params.split else []
+    plan = plan_cuts(lanelet_map, facts, wanted, params)
+    cut, pieces = cut_map(lanelet_map, facts, plan)
+    judged = Judged(rows, sure, _why_not(rows, against), offers, contexts, facts, pieces, roads)
+    values = transfers(judged, params)
+    table = joined([values, _cuts(rows, plan, facts, pieces, roads), _removals(removed, roads)])
+    check = _lane_check(rows.take(sure), facts, pieces, centerlines, roads)
+    return Enriched(
+        map=_written(cut, pieces, values),
+        transfers=ordered(table, np.unique(table.key.astype(str), return_inverse=True)[1]),
+        lane_check=check,
+        findings=_findings(judged, against, check, params),
+    )
+
+
+def _wanted(
+    rows: Rows, sure: Bools, offers: Offers, contexts: Contexts, facts: LaneletFacts, params: TransferParams
+) -> list[Wanted]:
+    """Where the values that would be written change."""
+    at = np.flatnonzero(sure)
+    landing = np.zeros((len(at), len(params.rules)), dtype=np.int64)
+    texts = []
+    for i, rule in enumerate(params.rules):
+        which, cases = decisions(rows.lanelet[at], offers.code[at, i], offers, contexts, rule)
+        values = sorted({c.value for c in cases if c.action == "set"} | {""})
+        code = np.array([values.index(c.value) if c.action == "set" else 0 for c in cases], dtype=np.int64)
+        landing[:, i] = code[which]
+        texts.append([rule.target, *values])
+    return wanted_cuts(rows.take(at), landing, texts, facts, params)
+
+
+def _why_not(rows: Rows, against: Bools) -> Strings:
+    """(n,) why a row is not certain; "" where it is."""
+    unsure = np.where(rows.sure, "", "the match is not certain")
+    return strings(np.where(against, "the lanelet runs against the one-way road", unsure).tolist())
+
+
+def _written(cut: LaneletMap, pieces: Pieces, values: Transfers) -> LaneletMap:
+    """The map with every value whose action is "set"."""
+    at = np.flatnonzero(values.action == "set")
+    if not len(at):
+        return cut
+    order = np.argsort(pieces.lanelet_id, kind="stable")
+    place = order[np.searchsorted(pieces.lanelet_id[order], values.lanelet_id[at])]
+    relations = cut.document.relations
+    tags = relations.tags.with_values(pieces.relation_row[place], values.key[at], values.new[at])
+    return replace(cut, document=replace(cut.document, relations=replace(relations, tags=tags)))
+
+
+def _cuts(rows: Rows, plan: CutPlan, facts: LaneletFacts, pieces: Pieces, roads: PlacedRoads) -> Transfers:
+    """A row per lanelet made by a cut, and one per cut that was refused."""
+    first = np.searchsorted(pieces.source, np.arange(len(facts.lanelets)))
+    made = [
+        (int(pieces.lanelet_id[first[k] + 1 + j]), k, cut.cause.row, "split", cut.cause.reason)
+        for k, cuts in plan.lanelets.items()
+        for j, cut in enumerate(cuts)
+    ]
+    made += [
+        (int(facts.lanelets.id[w.lanelet]), w.lanelet, w.row, "review", f"not cut at {w.reason}: {why}")
+        for w, why in plan.refused
+    ]
+    source = np.array([m[1] for m in made], dtype=np.int64)
+    road = rows.road[np.array([m[2] for m in made], dtype=np.int64)]
+    return _plain(
+        np.array([m[0] for m in made], dtype=np.int64),
+        facts.lanelets.id[source],
+        roads,
+        road,
+        strings(m[3] for m in made),
+        strings(m[4] for m in made),
+    )
+
+
+def _removals(removed: list[Removed], roads: PlacedRoads) -> Transfers:
+    ids = np.array([r.lanelet_id for r in removed], dtype=np.int64)
+    way_row = {int(w): i for i, w in enumerate(roads.network.way_id.tolist())}
+    road = np.array([way_row[r.way_id] for r in removed], dtype=np.int64)
+    action: Strings = np.full(len(ids), "remove", dtype=object)
+    return _plain(ids, ids, roads, road, action, strings(r.reason for r in removed))
+
+
+def _plain(
+    ids: Ints, source: Ints, roads: PlacedRoads, road: Ints, action: Strings, reason: Strings
+) -> Transfers:
+    """Rows that concern no single attribute."""
+    empty: Strings = np.full(len(ids), "", dtype=object)
+    network = roads.network
+    columns = (network.way_id[road], network.version[road], network.timestamp[road], np.ones(len(ids)))
+    return Transfers(ids, source, empty, empty, empty, *columns, action, reason)
+
+
+def _lane_check(
+    rows: Rows, facts: LaneletFacts, pieces: Pieces, centerlines: Centerlines, roads: PlacedRoads
+) -> LaneCheck:
+    road, sense = main_road(shares_of(rows, pieces), rows, len(pieces), roads)
+    counted = facts.open_to_cars | (facts.lanelets.subtype == "bus_lane")
+    counts = lane_counts(centerlines, facts.lanelets)
+    return check_lanes(pieces.lanelet_id, pieces.source, road, sense, counted[pieces.source], counts, roads)
+
+
+def _fragments(
+    lanelet_map: LaneletMap,
+    facts: LaneletFacts,
+    centerlines: Centerlines,
+    matches: Matches,
+    roads: PlacedRoads,
+    params: TransferParams,
+) -> list[Removed]:
+    rows = usable_rows(matches, facts, roads, params)
+    sure = rows.take(rows.sure & ~wrong_way(rows, facts, roads))
+    check = _lane_check(sure, facts, whole(facts), centerlines, roads)
+    return fragments(lanelet_map, facts.lanelets, lane_counts(centerlines, facts.lanelets), check)
+
+
+def _findings(j: Judged, against: Bools, check: LaneCheck, params: TransferParams) -> Findings:
+    """Lanelets against one-way roads, and OSM values nobody could read."""
+    found: set[tuple[str, str, str, int, str]] = set()
+    network = j.roads.network
+    for k, road in {(int(j.rows.lanelet[i]), int(j.rows.road[i])) for i in np.flatnonzero(against)}:
+        text = f"runs against the one-way road {network.way_id[road]}; nothing was taken from it"
+        found.add(("wrong-way-lanelet", "warning", "lanelet", int(j.facts.lanelets.id[k]), text))
+    for i, rule in enumerate(params.rules):
+        bad = np.array([bool(o.problem) for o in j.offers.values], dtype=bool)
+        for row in np.flatnonzero(bad[j.offers.code[:, i]]).tolist():
+            value = j.offers.values[j.offers.code[row, i]]
+            text = f"{rule.key}={value.value}: {value.problem}"
+            found.add(("osm-value-not-used", "info", "road", int(network.way_id[j.rows.road[row]]), text))
+    unread = np.flatnonzero((check.verdict == "unknown") & (check.way_id != 0))
+    for row in unread.tolist():
+        if "is no number" in str(check.reason[row]):
+            found.add(("osm-value-not-used", "info", "road", int(check.way_id[row]), str(check.reason[row])))
+    return _table(sorted(found))
+
+
+def _table(found: Iterable[tuple[str, str, str, int, str]]) -> Findings:
+    rows = list(found)
+    return Findings(
+        strings(r[0] for r in rows),
+        strings(r[1] for r in rows),
+        strings(r[2] for r in rows),
+        np.array([r[3] for r in rows], dtype=np.int64),
+        strings(r[4] for r in rows),
+    )

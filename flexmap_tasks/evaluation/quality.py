@@ -1,0 +1,132 @@
+"""What one run achieved, as far as it can be known without truth."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from flexmap_tasks.config import EvaluationParams
+from flexmap_tasks.engine.stage import stage
+from flexmap_tasks.evaluation.deviation import deviation
+from flexmap_tasks.evaluation.summary import measures_of, statistics
+from flexmap_tasks.geometry.sheet import affine_maps
+from flexmap_tasks.model.alignment import ControlPoints, RigidMotion, Warp
+from flexmap_tasks.model.conflation import LaneCheck, References, Transfers
+from flexmap_tasks.model.maps import Findings
+from flexmap_tasks.model.match_statistics import match_statistics
+from flexmap_tasks.model.quality import Measure, Quality
+from flexmap_tasks.model.tracks import GnssTrack, Trajectory
+
+ACTIONS = ("set", "keep", "review", "split", "remove")
+VERDICTS = ("agree", "differ", "unknown", "unmatched")
+SEVERITIES = ("error", "warning", "info")
+
+
+@stage("quality")
+def evaluate(
+    slam: Trajectory,
+    gnss: GnssTrack,
+    warp: Warp,
+    control_points: ControlPoints | None,
+    references: References | None,
+    transfers: Transfers | None,
+    lane_check: LaneCheck | None,
+    map_findings: Findings | None,
+    transfer_findings: Findings | None,
+    params: EvaluationParams,
+) -> Quality:
+    """The figures of a map update.
+
+    slam : the poses in their own frame; gnss : the fixes in the map frame; warp : from the one to the other
+    The rest is None where the run had no such step.
+    """
+    measures = [*_deviations(slam, gnss, warp, params), *_alignment(warp)]
+    if control_points is not None:
+        measures += _residuals(control_points, warp)
+    if references is not None:
+        measures += _matching(references, params)
+    if transfers is not None:
+        measures += _attributes(transfers)
+    if lane_check is not None:
+        measures += _lanes(lane_check)
+    findings = [f for f in (map_findings, transfer_findings) if f is not None]
+    if findings:
+        severity = np.concatenate([f.severity for f in findings])
+        measures += [_count(f"findings_{s}", severity == s) for s in SEVERITIES]
+    return Quality(tuple(measures))
+
+
+def _deviations(slam: Trajectory, gnss: GnssTrack, warp: Warp, params: EvaluationParams) -> Iterator[Measure]:
+    """Before: after the rigid start alone. Which poses have valid GNSS is seen from where the warp puts them."""
+    after = deviation(warp.apply(slam.xyz_m), gnss)
+    before = deviation(warp.motion.apply_xy(slam.xyz_m[:, :2]), gnss)
+    yield _count("poses", np.ones(len(slam), dtype=bool))
+    yield _count("poses_with_valid_gnss", after.valid)
+    for when, distance in (("before", before.distance_m), ("after", after.distance_m)):
+        yield from measures_of(f"deviation_{when}_all", distance)
+        yield from measures_of(f"deviation_{when}_valid", distance[after.valid])
+    rmse = statistics(after.distance_m)["rmse"]
+    yield Measure.at_most("deviation_rmse", rmse, "m", params.deviation_rmse_max_m)
+
+
+def _alignment(warp: Warp) -> Iterator[Measure]:
+    motion = warp.motion
+    yield Measure("rigid_rotation", float(np.degrees(motion.angle_rad)), "deg")
+    yield Measure("rigid_translation_x", float(motion.translation_m[0]), "m")
+    yield Measure("rigid_translation_y", float(motion.translation_m[1]), "m")
+    yield Measure("rigid_grid_scale", motion.grid_scale, "1")
+    yield Measure("rigid_fitted_scale", motion.fitted_scale, "1")
+    yield Measure("rigid_rmse", motion.rmse_m, "m")
+    sheet = warp.sheet
+    if sheet is None or len(sheet.triangles) == 0:
+        return
+    corners = sheet.source_xy_m[sheet.triangles], sheet.target_xy_m[sheet.triangles]
+    stretch = np.linalg.svd(affine_maps(*corners)[:, :, :2], compute_uv=False)
+    yield Measure("sheet_triangles", float(len(sheet.triangles)), "count")
+    yield Measure("sheet_stretch_min", float(stretch.min()), "1")
+    yield Measure("sheet_stretch_max", float(stretch.max()), "1")
+
+
+def _residuals(points: ControlPoints, warp: Warp) -> Iterator[Measure]:
+    """How far the rigid start leaves the control points in use from their targets, and what the warp leaves."""
+    used = points.take(points.used)
+    still = RigidMotion(np.eye(2), np.zeros(2), 1.0, 1.0, 0.0)
+    source_m = np.column_stack([used.source_xy_m, np.zeros(len(used))])
+    moved = Warp(still, warp.sheet).apply(source_m)[:, :2] if len(used) else used.source_xy_m
+    yield _count("control_points", points.used)
+    for name, place in (("control_point_shift", used.source_xy_m), ("control_point_residual", moved)):
+        figures = statistics(np.hypot(*(used.target_xy_m - place).T))
+        yield Measure(f"{name}_mean", figures["mean"], "m")
+        yield Measure(f"{name}_max", figures["max"], "m")
+
+
+def _matching(references: References, params: EvaluationParams) -> Iterator[Measure]:
+    found = match_statistics(references, params.short_reference_m, params.true_positive_score)
+    yield Measure("references", float(found.references), "count")
+    yield Measure("references_length", found.length_m, "m")
+    yield Measure("references_matched", float(found.matched), "count")
+    yield Measure.at_least("match_rate", found.rate, "1", params.match_rate_min)
+    yield Measure("match_rate_by_length", found.rate_by_length, "1")
+    yield Measure("self_scored_precision", found.self_scored_precision, "1")
+    yield Measure("match_score_mean", found.mean_score, "1")
+
+
+def _attributes(transfers: Transfers) -> Iterator[Measure]:
+    """How often each key was set, kept and put up for review; then what happened to lanelets as a whole."""
+    for action in ACTIONS:
+        yield _count(f"transfers_{action}", transfers.action == action)
+    for key in sorted(set(transfers.key.tolist()) - {""}):
+        for action in ("set", "keep", "review"):
+            yield _count(f"attribute_{key}_{action}", (transfers.key == key) & (transfers.action == action))
+
+
+def _lanes(check: LaneCheck) -> Iterator[Measure]:
+    for verdict in VERDICTS:
+        yield _count(f"lanes_{verdict}", check.verdict == verdict)
+    agree, differ = (int((check.verdict == v).sum()) for v in ("agree", "differ"))
+    yield Measure("lanes_agreement", agree / (agree + differ) if agree + differ else None, "1")
+
+
+def _count(name: str, rows: np.ndarray) -> Measure:
+    return Measure(name, float(np.count_nonzero(rows)), "count")

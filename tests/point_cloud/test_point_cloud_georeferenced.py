@@ -1,0 +1,212 @@
+"""The moved cloud: all points, where the warp puts them, in tiles that Autoware can read."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from pcd_writer import source
+from scipy.spatial import Delaunay
+
+from flexmap_tasks.config import PointCloudParams
+from flexmap_tasks.errors import CoverageError
+from flexmap_tasks.formats.artifacts import decode, encode
+from flexmap_tasks.formats.pcd import read_pcd
+from flexmap_tasks.georeferencing.cloud import (
+    check_map_tiles,
+    merge_tile,
+    pointcloud_metadata,
+    tile_extent,
+    warp_tile,
+)
+from flexmap_tasks.model.alignment import RigidMotion, RubberSheet, Warp
+from flexmap_tasks.model.arrays import strings
+from flexmap_tasks.model.clouds import PointCloud, TileKeys, tile_key, tile_numbers
+
+PARAMS = PointCloudParams()
+
+
+def rigid(angle_rad: float = 0.0, shift_m: tuple[float, float] = (0.0, 0.0), scale: float = 1.0) -> Warp:
+    cos, sin = np.cos(angle_rad), np.sin(angle_rad)
+    return Warp(RigidMotion(np.array([[cos, -sin], [sin, cos]]), np.array(shift_m), scale, 1.0, 0.0), None)
+
+
+def bent(seed: int, angle_rad: float = 0.7) -> Warp:
+    """A rubber sheet with a vertex about every 30 m, each moved by about a metre."""
+    rng = np.random.default_rng(seed)
+    inner = rng.uniform(-90, 90, (40, 2))
+    corners = np.array([[-100.0, -100], [100, -100], [100, 100], [-100, 100]])
+    before = np.vstack([corners, inner])
+    after = np.vstack([corners, inner + rng.normal(0, 1, inner.shape)]) + np.array([0.3, -0.2])
+    triangles = Delaunay(before).simplices.astype(np.int64)
+    a, b, c = (before[triangles[:, i]] for i in range(3))
+    turn = (b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0]
+    triangles[turn < 0] = triangles[turn < 0][:, ::-1]
+    return Warp(
+        rigid(angle_rad, (5.0, -3.0)).motion, RubberSheet(before, after, triangles, np.array([0.3, -0.2]))
+    )
+
+
+def slam_tiles(seed: int = 1, points: int = 4000, reach_m: float = 130.0) -> dict[str, PointCloud]:
+    rng = np.random.default_rng(seed)
+    xyz_m = rng.uniform(-reach_m, reach_m, (points, 3))
+    rows = np.arange(points, dtype=np.uint32)
+    cells = np.floor(xyz_m[:, :2] / PARAMS.tile_size_m).astype(int)
+    return {
+        tile_key(ix, iy): PointCloud(xyz_m, {"row": rows, "wide": np.stack([rows, rows], axis=1)}).take(
+            (cells == [ix, iy]).all(axis=1)
+        )
+        for ix, iy in np.unique(cells, axis=0).tolist()
+    }
+
+
+def map_tiles(tiles: dict[str, PointCloud], warp: Warp) -> dict[str, dict[str, PointCloud]]:
+    """Map tile -> SLAM tile -> points."""
+    out: dict[str, dict[str, PointCloud]] = {}
+    for key, tile in tiles.items():
+        for moved_key, part in warp_tile(tile, warp, PARAMS).items():
+            out.setdefault(moved_key, {})[key] = part
+    return out
+
+
+@settings(max_examples=15, deadline=None)
+@given(st.integers(0, 1000), st.floats(-3.2, 3.2))
+def test_every_point_arrives_once_where_the_warp_puts_it(seed: int, angle_rad: float) -> None:
+    tiles, warp = slam_tiles(seed, 600), bent(seed, angle_rad)
+    rows = []
+    for key, parts in map_tiles(tiles, warp).items():
+        for slam_key, part in parts.items():
+            tile = tiles[slam_key]
+            at = np.searchsorted(tile.fields["row"], part.fields["row"])
+            np.testing.assert_array_equal(part.xyz_m, warp.apply(tile.xyz_m)[at])
+            assert (np.diff(at) > 0).all(), "order within the tile"
+            np.testing.assert_array_equal(np.floor(part.xyz_m[:, :2] / 20), [tile_numbers(key)] * len(part))
+            np.testing.assert_array_equal(part.fields["wide"], tile.fields["wide"][at])
+            rows.append(part.fields["row"])
+    np.testing.assert_array_equal(np.sort(np.concatenate(rows)), np.arange(600))
+
+
+def test_the_part_of_the_warp_that_touches_a_tile_moves_it_to_the_same_bits() -> None:
+    warp = bent(3)
+    for key, tile in slam_tiles().items():
+        near = warp.restrict(tile_extent(key, PARAMS))
+        whole, part = warp_tile(tile, warp, PARAMS), warp_tile(tile, near, PARAMS)
+        assert list(whole) == list(part)
+        assert all(whole[k].xyz_m.tobytes() == part[k].xyz_m.tobytes() for k in whole)
+
+
+def test_a_tile_s_box_holds_its_points_even_where_division_rounds() -> None:
+    for size in (1, 3, 7, 20, 49):
+        edges = np.arange(-2000, 2000) * float(size)
+        for x in np.concatenate([edges, np.nextafter(edges, np.inf), np.nextafter(edges, -np.inf)])[::37]:
+            ix = int(np.floor(x / size))
+            box = tile_extent(tile_key(ix, 0), PointCloudParams(tile_size_m=size))
+            assert box.x_min_m < x < box.x_max_m
+
+
+def test_merged_tiles_hold_all_points_in_float32_whatever_the_order_of_parts(tmp_path: Path) -> None:
+    tiles, warp = slam_tiles(), bent(5)
+    total = 0
+    for parts in map_tiles(tiles, warp).values():
+        (name, content), *rest = merge_tile(parts).items()
+        assert name == "tile.pcd"
+        assert not rest
+        assert content == merge_tile(dict(reversed(parts.items())))["tile.pcd"]
+        cloud = read_pcd(source(tmp_path, content))
+        in_order = [parts[k] for k in sorted(parts, key=tile_numbers)]
+        assert np.abs(cloud.xyz_m - np.concatenate([p.xyz_m for p in in_order])).max() < 1e-5
+        np.testing.assert_array_equal(
+            cloud.fields["row"], np.concatenate([p.fields["row"] for p in in_order])
+        )
+        assert cloud.fields["wide"].shape == (len(cloud), 2)
+        total += len(cloud)
+    assert total == 4000
+
+
+def test_parts_are_in_numeric_order_of_their_tiles(tmp_path: Path) -> None:
+    parts = {
+        k: PointCloud(np.full((1, 3), float(i)), {})
+        for i, k in enumerate(["-2_0", "0_-1", "0_3", "2_0", "10_0"])
+    }
+    content = merge_tile(dict(sorted(parts.items())))["tile.pcd"]
+    assert read_pcd(source(tmp_path, content)).xyz_m[:, 0].tolist() == [0, 1, 2, 3, 4]
+
+
+@pytest.mark.parametrize("names", [("normal_x", "normal_y", "normal_z"), ("nx", "ny", "nz")])
+def test_normals_turn_with_the_warp(names: tuple[str, str, str]) -> None:
+    rng = np.random.default_rng(2)
+    normal = rng.normal(size=(50, 3))
+    normal /= np.linalg.norm(normal, axis=1)[:, None]
+    fields = {n: normal[:, i].astype("f4") for i, n in enumerate(names)}
+    tile = PointCloud(rng.uniform(0, 5, (50, 3)), fields)
+    moved = next(iter(warp_tile(tile, rigid(0.5, (110.0, 110.0), 0.9996), PARAMS).values()))
+    cos, sin = np.cos(0.5), np.sin(0.5)
+    expected = normal @ np.array([[cos, sin, 0], [-sin, cos, 0], [0, 0, 1]])
+    got = np.column_stack([moved.fields[n] for n in names])
+    order = np.argsort(moved.xyz_m[:, 2])
+    np.testing.assert_allclose(got[order], expected[np.argsort(tile.xyz_m[:, 2])], atol=1e-6)
+    assert all(moved.fields[n].dtype == np.float32 for n in names)
+
+
+def test_normals_stay_of_unit_length_in_a_sheet() -> None:
+    tile = PointCloud(
+        np.random.default_rng(3).uniform(-60, 60, (500, 3)),
+        {"normal_x": np.ones(500), "normal_y": np.zeros(500)},
+    )
+    for part in warp_tile(tile, bent(1), PARAMS).values():
+        np.testing.assert_allclose(np.hypot(part.fields["normal_x"], part.fields["normal_y"]), 1, atol=1e-12)
+
+
+def test_a_warp_out_of_this_world_is_refused() -> None:
+    with pytest.raises(CoverageError, match="out of any map frame"):
+        warp_tile(PointCloud(np.zeros((1, 3)), {}), rigid(0, (1e12, 0)), PARAMS)
+    with pytest.raises(CoverageError, match="out of any map frame"):
+        warp_tile(PointCloud(np.zeros((1, 3)), {}), rigid(0, (np.nan, 0)), PARAMS)
+
+
+def test_metadata_lists_every_tile_as_autoware_reads_it() -> None:
+    keys = TileKeys(strings(["10_0", "-2_5", "2_0"]))
+    content = pointcloud_metadata(keys, PARAMS)["pointcloud_map_metadata.yaml"]
+    assert content.decode() == (
+        "x_resolution: 20.0\ny_resolution: 20.0\n-2_5.pcd: [-40, 100]\n2_0.pcd: [40, 0]\n10_0.pcd: [200, 0]\n"
+    )
+    loaded = yaml.safe_load(content)
+    assert loaded.pop("x_resolution") == loaded.pop("y_resolution") == 20.0
+    assert all(isinstance(v, int) for corner in loaded.values() for v in corner)
+
+
+def test_tiles_far_from_the_origin_are_reported() -> None:
+    near = TileKeys(strings(["499_0", "-500_3"]))
+    assert len(check_map_tiles(near, PARAMS)) == 0
+    assert len(check_map_tiles(TileKeys(strings([])), PARAMS)) == 0
+    found = check_map_tiles(TileKeys(strings(["0_0", "0_-850", "1_500"])), PARAMS)
+    assert found.code.tolist() == ["cloud-far-from-origin"]
+    assert "2 of 3 tiles" in found.message[0]
+    assert "up to 17.0 km come in steps of 2.0 mm" in found.message[0]
+
+
+class Folder:
+    """Files of a value in memory."""
+
+    def __init__(self, files: dict[str, bytes]) -> None:
+        self.files = files
+
+    def names(self) -> list[str]:
+        return sorted(self.files)
+
+    def read(self, name: str) -> bytes:
+        return self.files[name]
+
+    def sub(self, prefix: str) -> Folder:
+        return Folder({n[len(prefix) :]: c for n, c in self.files.items() if n.startswith(prefix)})
+
+
+def test_parts_survive_the_store() -> None:
+    parts = next(iter(map_tiles(slam_tiles(), bent(5)).values()))
+    stored = Folder(dict(encode(parts, "parts")))
+    loaded = decode(dict[str, PointCloud], stored, "parts")  # type: ignore[arg-type]
+    assert merge_tile(loaded) == merge_tile(parts)

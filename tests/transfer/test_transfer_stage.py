@@ -1,0 +1,208 @@
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from transfer_worlds import Draft, along_x, matches_of, members_of, road, roads_of, rows, run, tags_of
+
+from flexmap_tasks.config import TransferParams, TransferRule
+from flexmap_tasks.model.lanelets import lanelets_of
+
+
+def one_road(tmp_path: Path, **tags: str):
+    draft = Draft()
+    drawn = road(draft, [100.0], 1, 1, **tags)
+    return draft.read(tmp_path), drawn.forward[0][0], drawn.backward[0][0]
+
+
+def test_values_land_and_absent_ones_empty_nothing(tmp_path: Path) -> None:
+    before, ahead, back = one_road(tmp_path, road_surface="sett")
+    roads = roads_of([{"highway": "secondary", "maxspeed": "50", "name": "Am Ring", "maxspeed:backward": "30", "surface": ""}])
+    after = run(before, along_x(before, []), roads)
+    assert tags_of(after.map, ahead) == tags_of(before, ahead) | {"speed_limit": "50", "road_name": "Am Ring"}
+    assert tags_of(after.map, back) == tags_of(before, back) | {"speed_limit": "30", "road_name": "Am Ring"}
+    (row,) = rows(after, lanelet_id=ahead, key="speed_limit")
+    assert (row["old"], row["new"], row["way_id"], row["way_version"], row["action"]) == ("10", "50", 100, 1, "set")
+    assert rows(after, lanelet_id=ahead, key="subtype", action="keep")
+    assert not rows(after, key="road_surface")
+
+
+def test_twice_changes_nothing(tmp_path: Path) -> None:
+    before, *_ = one_road(tmp_path)
+    roads = roads_of([{"highway": "residential", "maxspeed": "50", "oneway": "no"}, {"highway": "residential", "maxspeed": "30"}])
+    once = run(before, along_x(before, [47.0]), roads)
+    twice = run(once.map, along_x(once.map, [47.0]), roads)
+    assert len(lanelets_of(once.map)) == 4
+    assert not rows(twice, action="set")
+    assert not rows(twice, action="split")
+    for kind in ("nodes", "ways", "relations"):
+        a, b = getattr(once.map.document, kind), getattr(twice.map.document, kind)
+        assert a.id.tolist() == b.id.tolist()
+        assert a.tags.value.tolist() == b.tags.value.tolist()
+
+
+@pytest.mark.parametrize("oneway", ["yes", "no", "-1", "reversible", "banana", ""])
+def test_no_lanelet_becomes_two_way(tmp_path: Path, oneway: str) -> None:
+    before, *_ = one_road(tmp_path)
+    after = run(before, along_x(before, []), roads_of([{"highway": "service", "oneway": oneway}]))
+    assert lanelets_of(after.map).one_way.all()
+
+
+def test_one_way_fills_only_a_gap(tmp_path: Path) -> None:
+    draft = Draft()
+    silent, both = road(draft, [50.0], 1, 0, one_way=""), road(draft, [50.0], 1, 0, one_way="no")
+    before = draft.read(tmp_path)
+    after = run(before, along_x(before, []), roads_of([{"highway": "service", "oneway": "yes"}]))
+    assert tags_of(after.map, silent.forward[0][0])["one_way"] == "yes"
+    assert tags_of(after.map, both.forward[0][0])["one_way"] == "no"
+    assert rows(after, lanelet_id=both.forward[0][0], key="one_way", action="review")
+
+
+def test_a_lanelet_against_a_one_way_road_is_named_and_left(tmp_path: Path) -> None:
+    before, ahead, back = one_road(tmp_path)
+    after = run(before, along_x(before, []), roads_of([{"highway": "primary", "oneway": "yes", "maxspeed": "70"}]))
+    assert tags_of(after.map, ahead)["speed_limit"] == "70"
+    assert tags_of(after.map, back) == tags_of(before, back)
+    assert [r["new"] for r in rows(after, lanelet_id=back, action="review", key="speed_limit")] == ["70"]
+    assert (after.findings.code.tolist(), after.findings.id.tolist()) == (["wrong-way-lanelet"], [back])
+
+
+@pytest.mark.parametrize("subtype", ["bus_lane", "bicycle_lane", "crosswalk", "walkway", "road_shoulder", "exit"])
+def test_the_author_knows_the_subtype(tmp_path: Path, subtype: str) -> None:
+    before, ahead, _ = one_road(tmp_path, subtype=subtype, participant_vehicle="")
+    after = run(before, along_x(before, []), roads_of([{"highway": "motorway", "maxspeed": "100"}]))
+    assert tags_of(after.map, ahead)["subtype"] == subtype
+
+
+def test_a_busway_does_not_close_a_road(tmp_path: Path) -> None:
+    before, ahead, _ = one_road(tmp_path)
+    after = run(before, along_x(before, []), roads_of([{"highway": "busway"}]))
+    assert tags_of(after.map, ahead)["subtype"] == "road"
+    assert rows(after, lanelet_id=ahead, key="subtype", action="review")
+
+
+def test_location_only_with_evidence(tmp_path: Path) -> None:
+    draft = Draft()
+    rural, silent, private = (road(draft, [50.0], 1, 0, location=x) for x in ("nonurban", "", "private"))
+    before = draft.read(tmp_path)
+    after = run(before, along_x(before, []), roads_of([{"highway": "residential"}]))
+    found = [tags_of(after.map, r.forward[0][0])["location"] for r in (rural, silent, private)]
+    assert found == ["nonurban", "urban", "private"]
+    zone = run(before, along_x(before, []), roads_of([{"highway": "residential", "zone:traffic": "DE:urban"}]))
+    found = [tags_of(zone.map, r.forward[0][0])["location"] for r in (rural, silent, private)]
+    assert found == ["urban", "urban", "private"]
+
+
+def test_review_and_doubt_change_nothing(tmp_path: Path) -> None:
+    before, ahead, back = one_road(tmp_path)
+    roads = roads_of([{"highway": "primary", "maxspeed": "70", "name": "X"}])
+    rows_in = [(ahead, 0.0, 100.0, 100, 1), (back, 0.0, 100.0, 100, -1)]
+    after = run(before, matches_of(rows_in, decision=["review", "match"], confidence=[0.9, 0.2]), roads)
+    assert after.map.document.relations.tags.value.tolist() == before.document.relations.tags.value.tolist()
+    assert {r["lanelet_id"] for r in rows(after, key="road_name", action="review", new="X")} == {ahead, back}
+
+
+def test_a_value_of_a_small_part_is_not_written(tmp_path: Path) -> None:
+    before, ahead, _ = one_road(tmp_path)
+    after = run(before, matches_of([(ahead, 0.0, 12.0, 100, 1)]), roads_of([{"maxspeed": "70"}]), TransferParams(split=False))
+    assert tags_of(after.map, ahead)["speed_limit"] == "10"
+    assert rows(after, lanelet_id=ahead, key="speed_limit", action="review")[0]["reason"].startswith("holds for 12 %")
+
+
+def test_majority_of_metres_without_splitting(tmp_path: Path) -> None:
+    before, ahead, back = one_road(tmp_path)
+    roads = roads_of([{"maxspeed": "50"}, {"maxspeed": "30"}])
+    after = run(before, along_x(before, [30.0]), roads, TransferParams(split=False))
+    assert [tags_of(after.map, x)["speed_limit"] for x in (ahead, back)] == ["30", "30"]
+
+
+@pytest.mark.parametrize(("policy", "speed", "action"), [("osm_wins", "50", "set"), ("fill_only", "10", "keep"), ("review_conflicts", "10", "review")])
+def test_policies(tmp_path: Path, policy: str, speed: str, action: str) -> None:
+    before, ahead, _ = one_road(tmp_path)
+    rule = TransferRule(key="maxspeed", target="speed_limit", parser="speed", policy=policy)
+    after = run(before, along_x(before, []), roads_of([{"maxspeed": "50"}]), TransferParams(rules=(rule,)))
+    assert tags_of(after.map, ahead)["speed_limit"] == speed
+    assert [r["action"] for r in rows(after, lanelet_id=ahead)] == [action]
+
+
+def test_garbage_ends_nothing(tmp_path: Path) -> None:
+    before, ahead, _ = one_road(tmp_path)
+    bad = {k: "\x7f☃;;|-1e999" for k in ("highway", "maxspeed", "name", "surface", "oneway", "lane_markings", "lanes")}
+    good = [(ahead, 0.0, 50.0, 100, 1), (ahead, np.nan, 90.0, 100, 1), (ahead, 90.0, 60.0, 100, 1)]
+    lost = [(ahead, 50.0, 60.0, 4711, 1), (4711, 0.0, 1.0, 100, 1), (ahead, 60.0, 1e12, 100, -1), (ahead, 0.0, 9.0, 100, 0)]
+    after = run(before, matches_of(good + lost), roads_of([bad]))
+    assert tags_of(after.map, ahead) == tags_of(before, ahead)
+    assert "osm-value-not-used" in after.findings.code.tolist()
+
+
+def test_empty_inputs(tmp_path: Path) -> None:
+    before, *_ = one_road(tmp_path)
+    after = run(before, matches_of([]), roads_of([]))
+    assert len(after.transfers.key) == 0
+    assert after.lane_check.verdict.tolist() == ["unmatched"] * 2
+
+
+def test_lane_check_by_direction(tmp_path: Path) -> None:
+    draft = Draft()
+    drawn = road(draft, [50.0, 50.0, 50.0, 50.0, 50.0], 2, 1)
+    before = draft.read(tmp_path)
+    tags = [
+        {"lanes": "3"}, {"lanes": "2"}, {"lanes": "3", "lanes:forward": "2", "lanes:backward": "2"},
+        {"lanes": "variable"}, {},
+    ]  # fmt: skip
+    after = run(before, along_x(before, [50.0, 100.0, 150.0, 200.0]), roads_of(tags))
+    check = dict(zip(after.lane_check.lanelet_id.tolist(), after.lane_check.verdict.tolist(), strict=True))
+    ahead = [check[s[0]] for s in drawn.forward]
+    back = [check[s[0]] for s in drawn.backward]
+    assert ahead == ["agree", "differ", "agree", "unknown", "unknown"]
+    assert back == ["agree", "differ", "differ", "unknown", "unknown"]
+    assert "lanes=variable is no number of lanes" in after.lane_check.reason.tolist()
+    assert after.findings.message.tolist() == ["lanes=variable is no number of lanes"]
+
+
+def test_lane_check_of_a_one_way_road_looks_at_its_direction(tmp_path: Path) -> None:
+    draft = Draft()
+    drawn = road(draft, [50.0], 2, 1)
+    before = draft.read(tmp_path)
+    rows_in = [(x, 0.0, 50.0, 100, 1) for x in drawn.forward[0]] + [(drawn.backward[0][0], 0.0, 50.0, 200, 1)]
+    roads = roads_of([{"oneway": "yes", "lanes": "2"}, {"oneway": "yes", "lanes": "1"}])
+    after = run(before, matches_of(rows_in), roads)
+    assert after.lane_check.verdict.tolist() == ["agree"] * 3
+
+
+def fragment_world(tmp_path: Path):
+    """Two sections of 1+1 lanes; beside the first lies a lane that leads nowhere."""
+    draft = Draft()
+    drawn = road(draft, [50.0, 50.0], 1, 1)
+    outer = draft.way([draft.node(x, -7.0) for x in (0.0, 25.0, 50.0)])
+    stray = draft.lanelet(drawn.bounds[0][0], outer)
+    return draft, drawn, stray
+
+
+def test_fragments_go_only_on_request(tmp_path: Path) -> None:
+    draft, _, stray = fragment_world(tmp_path)
+    before, roads = draft.read(tmp_path), roads_of([{"lanes": "2"}])
+    kept = run(before, along_x(before, []), roads)
+    assert stray in lanelets_of(kept.map).id
+    after = run(before, along_x(before, []), roads, TransferParams(remove_fragments=True))
+    assert set(lanelets_of(before).id) - set(lanelets_of(after.map).id) == {stray}
+    assert [r["lanelet_id"] for r in rows(after, action="remove")] == [stray]
+    assert after.map.document.ways.id.tolist() == before.document.ways.id.tolist()
+    assert stray not in after.lane_check.lanelet_id
+
+
+def test_no_fragment_that_a_rule_names(tmp_path: Path) -> None:
+    draft, _, stray = fragment_world(tmp_path)
+    draft.relation([("relation", stray, "yield")], type="regulatory_element", subtype="right_of_way")
+    before = draft.read(tmp_path)
+    after = run(before, along_x(before, []), roads_of([{"lanes": "2"}]), TransferParams(remove_fragments=True))
+    assert stray in lanelets_of(after.map).id
+
+
+def test_no_fragment_where_the_count_fits(tmp_path: Path) -> None:
+    draft, _, stray = fragment_world(tmp_path)
+    before = draft.read(tmp_path)
+    after = run(before, along_x(before, []), roads_of([{"lanes": "3"}]), TransferParams(remove_fragments=True))
+    assert stray in lanelets_of(after.map).id
+    assert members_of(after.map, stray) == members_of(before, stray)
