@@ -12,7 +12,15 @@ from flexmap_tasks.alignment.control_points import control_points
 from flexmap_tasks.alignment.project import project_utm
 from flexmap_tasks.alignment.rubber_sheet import rigid_warp, rubber_sheet
 from flexmap_tasks.alignment.umeyama import umeyama
-from flexmap_tasks.config import FlexMapConfig, GnssParams, OsmInput, OsmRoadsParams, Params, PointCloudParams, SlamParams
+from flexmap_tasks.config import (
+    FlexMapConfig,
+    GnssParams,
+    OsmInput,
+    OsmRoadsParams,
+    Params,
+    PointCloudParams,
+    SlamParams,
+)
 from flexmap_tasks.conflation.collapse import collapse
 from flexmap_tasks.conflation.match import match
 from flexmap_tasks.conflation.place_roads import place_roads
@@ -39,7 +47,6 @@ class Aligned:
     projection: Ref
     gnss_track: Ref
     slam: Ref
-    motion: Ref
     control_points: Ref | None
     warp: Ref
 
@@ -57,7 +64,9 @@ def map_update(config: FlexMapConfig) -> Graph:
     graph = Graph()
     fixes = graph.run(ingest_gnss, only(GnssParams, config.gnss), source=SourceRef(config.gnss.file))
     slam = graph.run(ingest_slam, only(SlamParams, config.slam), source=SourceRef(config.slam.file))
-    lanelets = config.lanelet_map and graph.run(ingest_lanelet_map, source=SourceRef(config.lanelet_map.file))
+    lanelets = None
+    if config.lanelet_map is not None:
+        lanelets = graph.run(ingest_lanelet_map, source=SourceRef(config.lanelet_map.file))
     tiles = _ingest_cloud(graph, config)
     roads = _ingest_roads(graph, config.osm, fixes)
 
@@ -75,9 +84,10 @@ def map_update(config: FlexMapConfig) -> Graph:
             projection=aligned.projection if moves_map else None,
         )
         graph.publish(".", bundle)
+        graph.publish("map_findings.parquet", lanelets.field("findings"))
     if tiles is not None:
         _georeference_cloud(graph, config, tiles, aligned.warp if moves_map else None)
-    _evaluate(graph, config, aligned, conflated)
+    _evaluate(graph, config, aligned, lanelets, conflated)
     return graph
 
 
@@ -139,7 +149,7 @@ def _align(
     graph.publish("slam_track_before.parquet", slam)
     aligned_track = graph.run(align_track, slam=slam, warp=warp)
     graph.publish("slam_track_after.parquet", aligned_track)
-    return Aligned(projection, gnss, slam, motion, points, warp)
+    return Aligned(projection, gnss, slam, points, warp)
 
 
 def _conflate(graph: Graph, config: FlexMapConfig, lanelets: Ref, roads: Ref, aligned: Aligned) -> Conflated:
@@ -182,14 +192,22 @@ def _georeference_cloud(graph: Graph, config: FlexMapConfig, tiles: Ref, warp: R
     graph.publish(".", graph.run(pointcloud_metadata, params, tiles=merged.keys()))
 
 
-def _evaluate(graph: Graph, config: FlexMapConfig, aligned: Aligned, conflated: Conflated | None) -> None:
+def _evaluate(
+    graph: Graph, config: FlexMapConfig, aligned: Aligned, lanelets: Ref | None, conflated: Conflated | None
+) -> None:
+    enriched = conflated.enriched if conflated else None
     quality = graph.run(
         evaluate,
         config.evaluation,
         slam=aligned.slam,
         gnss=aligned.gnss_track,
-        motion=aligned.motion,
         warp=aligned.warp,
+        control_points=aligned.control_points,
+        references=conflated.matched.field("references") if conflated else None,
+        transfers=enriched.field("transfers") if enriched else None,
+        lane_check=enriched.field("lane_check") if enriched else None,
+        map_findings=lanelets.field("findings") if lanelets else None,
+        transfer_findings=enriched.field("findings") if enriched else None,
     )
     graph.publish("quality.json", quality)
 

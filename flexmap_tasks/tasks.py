@@ -10,13 +10,14 @@ from typing import Any
 
 from prefect import Task, task
 from prefect.cache_policies import NO_CACHE
-from prefect.client.schemas.objects import State
+from prefect.client.schemas.objects import State, TaskRun
 from prefect.futures import PrefectFuture
 from prefect.logging import get_run_logger
 from prefect.states import Completed
 
 from flexmap_tasks.engine.execute import Engine, Outcome
 from flexmap_tasks.engine.graph import Graph, Node
+from flexmap_tasks.formats.osm_fetch import OsmServerError
 
 OUTSIDE_RETRIES = 3
 OUTSIDE_RETRY_DELAYS_S = [2.0, 10.0, 30.0]
@@ -59,7 +60,13 @@ def stage_task(
         persist_result=False,
         retries=OUTSIDE_RETRIES if node.stage.outside else 0,
         retry_delay_seconds=OUTSIDE_RETRY_DELAYS_S,
+        retry_condition_fn=_worth_a_retry,
     )(run_stage)
+
+
+def _worth_a_retry(_task: Task[Any, Any], _run: TaskRun, state: State[Any]) -> bool:
+    """A busy or failing server may recover; a wrong input never does."""
+    return isinstance(state.result(raise_on_failure=False), OsmServerError)
 
 
 def describe(outcome: Outcome) -> str:

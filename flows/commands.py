@@ -10,6 +10,7 @@ from pathlib import Path
 
 from flexmap_tasks.config import FlexMapConfig
 from flexmap_tasks.engine.execute import Engine, Outcome
+from flexmap_tasks.engine.fingerprint import code_fingerprint
 from flexmap_tasks.engine.graph import Graph
 from flexmap_tasks.engine.local import run_local
 from flexmap_tasks.engine.plan import Plan, make_plan, read_last_run
@@ -17,6 +18,9 @@ from flexmap_tasks.engine.release import Release
 from flexmap_tasks.formats.config_defaults import defaults_yaml
 from flexmap_tasks.formats.config_file import dump_config, load_config
 from flexmap_tasks.pipeline import map_update
+from flexmap_tasks.simulate.world import World
+from flexmap_tasks.simulate.write import write_world
+from flexmap_tasks.store.artifact import seal
 from flexmap_tasks.store.store import Store
 from flows import console
 from flows.finish import finish_run
@@ -84,9 +88,32 @@ def defaults() -> None:
 
 
 def demo(store: Path, *, through_prefect: bool) -> None:
-    """Simulate the small town once, then run its configuration."""
-    config = load_config(FlexMapConfig, PROJECT / "configs" / "demo.yaml")
-    run_config(config, store, through_prefect=through_prefect)
+    """Simulate the small town once, then make its map."""
+    folder = store / "demo"
+    _write_demo_town(folder)
+    inputs = {
+        "gnss.file": "recording.mcap",
+        "slam.file": "recording.mcap",
+        "lanelet_map.file": "lanelet2_map.osm",
+        "point_cloud.file": "pointcloud_map.pcd",
+        "osm.file": "osm_extract.osm",
+        "alignment.control_points_file": "control_points.csv",
+    }
+    overrides = [f"{key}={folder / name}" for key, name in inputs.items()]
+    run(PROJECT / "configs" / "demo.yaml", overrides, store, through_prefect=through_prefect)
+
+
+def _write_demo_town(folder: Path) -> None:
+    """The town's files, unless they are there already, made by the same world and the same code."""
+    world = load_config(World, PROJECT / "configs" / "worlds" / "small_town.yaml")
+    made_by = code_fingerprint("flexmap_tasks.simulate.write")
+    label = seal({"world": world.model_dump(mode="json"), "code": made_by})
+    mark = folder / "made_by.json"
+    if mark.is_file() and mark.read_bytes() == label:
+        return
+    console.say(f"simulating {world.name} into {folder}")
+    write_world(world, folder)
+    mark.write_bytes(label)
 
 
 def _run_here(store: Store, graph: Graph) -> dict[str, Outcome]:

@@ -23,6 +23,22 @@ from flexmap_tasks.engine.plan import Plan
 from flexmap_tasks.engine.release import Release
 
 _console = Console(highlight=False)
+HEADLINES = (
+    "deviation_before_all_rmse",
+    "deviation_after_all_mean",
+    "deviation_after_all_rmse",
+    "deviation_after_valid_rmse",
+    "match_rate",
+    "match_rate_by_length",
+    "transfers_set",
+    "transfers_review",
+    "lanes_agree",
+    "lanes_differ",
+    "findings_error",
+    "findings_warning",
+)
+"""What a person wants to know first."""
+
 STATE_STYLE = {"cached": "green", "run": "yellow", "depends": "cyan"}
 
 
@@ -51,31 +67,27 @@ def show_plan(map_name: str, plan: Plan) -> None:
 
 
 def show_summary(map_name: str, release: Release, seconds: float) -> None:
-    """Quality figures and where the release lies; the path stands alone on the last line."""
+    """The main figures, everything that has a limit, and where the release lies; the path ends it all."""
     quality: dict[str, Any] = json.loads((release.folder / "quality.json").read_text())
-    table = Table(title=f"Quality of {map_name}", box=None, title_justify="left")
+    table = Table(box=None, title_justify="left", title=f"Quality of {map_name} (all figures: quality.json)")
     table.add_column("figure")
     table.add_column("value", justify="right")
     table.add_column("unit")
     table.add_column("limit", justify="right")
     for measure in quality["measures"]:
-        limit = (
-            ""
-            if measure["limit"] is None
-            else f"{measure['limit']:g} {'ok' if measure['passed'] else 'MISSED'}"
-        )
-        value = "-" if measure["value"] is None else f"{measure['value']:.6g}"
-        table.add_row(measure["name"], value, measure["unit"], limit)
+        if measure["name"] in HEADLINES or measure["limit"] is not None:
+            limit = (
+                ""
+                if measure["limit"] is None
+                else f"{measure['limit']:g} {'ok' if measure['passed'] else 'MISSED'}"
+            )
+            value = "-" if measure["value"] is None else f"{measure['value']:.4g}"
+            table.add_row(measure["name"], value, measure["unit"], limit)
     _console.print(table)
-    state = "new release" if release.fresh else "release unchanged"
-    say(f"{state} {release.id} of {map_name} in {seconds:.1f} s:")
-    say(
-        str(
-            release.folder / "lanelet2_map.osm"
-            if (release.folder / "lanelet2_map.osm").exists()
-            else release.folder
-        )
-    )
+    state = "new release" if release.fresh else "release unchanged:"
+    say(f"{state} {release.id} of {map_name}, {seconds:.1f} s")
+    finished = release.folder / "lanelet2_map.osm"
+    say(str(finished if finished.exists() else release.folder))
 
 
 class StageProgress:

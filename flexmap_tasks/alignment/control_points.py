@@ -7,7 +7,7 @@ import numpy as np
 from flexmap_tasks.config import ControlPointsParams
 from flexmap_tasks.engine.stage import stage
 from flexmap_tasks.errors import AlignmentError
-from flexmap_tasks.formats.control_points_csv import ControlPointLine, read_control_points
+from flexmap_tasks.formats.control_points_csv import ControlPointLine, Place, read_control_points
 from flexmap_tasks.model.alignment import ControlPoints, RigidMotion
 from flexmap_tasks.model.arrays import Floats, strings
 from flexmap_tasks.model.projection import Projection
@@ -19,6 +19,13 @@ MIN_POINTS = 3
 
 SAME_PLACE_M = 1e-3
 """Two points nearer than this are one."""
+
+AGREE_M = 0.02
+"""Two ways to say where a point is agree within this: coordinates are given to the centimetre."""
+
+AFTER_FIT = ("source_map_x_m", "source_lat_deg")
+AGREE_AFTER_FIT_M = 0.5
+"""The same for places after the rigid start, which another fit may have put elsewhere."""
 
 COLLINEAR_SHARE = 1e-3
 """Points that leave their best line by less than this share of their length lie on it."""
@@ -39,8 +46,20 @@ def control_points(
     same place used twice, a row that a track does not have, and pairs too far apart to belong together.
     """
     lines = read_control_points(source)
-    sources = np.array([_source_xy(source, line, slam, motion, projection) for line in lines])
-    targets = np.array([_target_xy(source, line, gnss, projection) for line in lines])
+    sources = np.array(
+        [
+            _settle(
+                source, x, x.source, [_source_xy(source, x, p, slam, motion, projection) for p in x.source]
+            )
+            for x in lines
+        ]
+    )
+    targets = np.array(
+        [
+            _settle(source, x, x.target, [_target_xy(source, x, p, gnss, projection) for p in x.target])
+            for x in lines
+        ]
+    )
     used = np.array([line.use for line in lines])
     points = ControlPoints(
         label=strings(line.name for line in lines),
@@ -59,10 +78,36 @@ def control_points(
     return points
 
 
+def _settle(source: Source, line: ControlPointLine, places: tuple[Place, ...], xy_m: list[Floats]) -> Floats:
+    """The one position of a side given in several ways: the first, or the one that was changed by hand."""
+    positions = np.array(xy_m)
+    loose = np.array([p.kind in AFTER_FIT for p in places])
+    limit = np.where(loose[:, None] | loose, AGREE_AFTER_FIT_M, AGREE_M)
+    apart = np.hypot(*(positions[:, None] - positions).transpose(2, 0, 1))
+    differs = apart > limit
+    if not differs.any():
+        return xy_m[0]
+    others = len(places) - 1
+    odd = [i for i in range(len(places)) if differs[i].sum() == others and differs.sum() == 2 * others]
+    if others >= 2 and len(odd) == 1:
+        return xy_m[odd[0]]
+    first, second = (int(i[0]) for i in np.nonzero(differs))
+    raise AlignmentError(
+        source.name,
+        f"{places[first].kind} and {places[second].kind} lie {apart[first, second]:.2f} m apart; keep one of the two",
+        line.where,
+    )
+
+
 def _source_xy(
-    source: Source, line: ControlPointLine, slam: Trajectory, motion: RigidMotion, projection: Projection
+    source: Source,
+    line: ControlPointLine,
+    place: Place,
+    slam: Trajectory,
+    motion: RigidMotion,
+    projection: Projection,
 ) -> Floats:
-    kind, values = line.source.kind, line.source.values
+    kind, values = place.kind, place.values
     if kind == "source_row":
         row = _row(source, line, values[0], len(slam), "the SLAM trajectory")
         at = slam.xyz_m[row]
@@ -74,8 +119,10 @@ def _source_xy(
     return moved
 
 
-def _target_xy(source: Source, line: ControlPointLine, gnss: GnssTrack, projection: Projection) -> Floats:
-    kind, values = line.target.kind, line.target.values
+def _target_xy(
+    source: Source, line: ControlPointLine, place: Place, gnss: GnssTrack, projection: Projection
+) -> Floats:
+    kind, values = place.kind, place.values
     if kind != "target_row":
         return np.array(values) if kind == "target_x_m" else _project(source, line, projection, values)
     row = _row(source, line, values[0], int(gnss.row[-1]) + 1, "the GNSS recording")

@@ -11,7 +11,6 @@ from flexmap_tasks.geometry.segments import Segments, cut, first_of_groups
 from flexmap_tasks.model.arrays import Bools, Floats, Ints
 from flexmap_tasks.model.maps import PlacedRoads
 
-
 STRAIGHT_COS = np.cos(np.radians(0.01))
 """A vertex at which a way turns by less is passed over: how densely a straight is drawn must not matter."""
 

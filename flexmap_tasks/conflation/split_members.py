@@ -15,6 +15,8 @@ Member = tuple[str, int, str]
 """Type, id, role."""
 EVERYWHERE = ("speed_limit", "right_of_way")
 """Rules that hold all along a lanelet, whatever line they name."""
+AT_THE_END = ("traffic_light",)
+"""Rules that hold at the end of a lanelet unless they name a stop line; what they refer to stands beyond."""
 
 
 class MemberWriter:
@@ -65,12 +67,28 @@ class MemberWriter:
         row = int(rows_of(self.map.document.relations.id, np.array([ref]))[0])
         if role != "regulatory_element" or self.subtypes[row] in EVERYWHERE:
             return list(range(count))
-        lines = [r for t, r, role_there in self._members(row) if t == "way" and role_there == "ref_line"]
-        places = [s for s in (self._place_m(k, line) for line in lines) if s is not None]
-        if places:
-            stops = [c.s_m for c in self.plan.lanelets[k]]
-            return sorted({int(np.searchsorted(stops, s)) for s in places})
-        return [count - 1] if self.subtypes[row] == "traffic_light" else list(range(count))
+        subtype = self.subtypes[row]
+        places = self._places_m(k, row, "ref_line")
+        if not places and subtype == "traffic_sign":
+            return list(range(count))
+        if not places and subtype not in AT_THE_END:
+            places = self._places_m(k, row, None)
+        stops = [c.s_m for c in self.plan.lanelets[k]]
+        return sorted({int(np.searchsorted(stops, s)) for s in places}) or [count - 1]
+
+    def _places_m(self, k: int, row: int, role: str | None) -> list[float]:
+        """Metres along lanelet k of the ways that a relation names, in this role or (None) in any.
+
+        A lanelet it names stands for its left bound.
+        """
+        ways = []
+        for kind, ref, role_there in self._members(row):
+            if role is None and kind == "relation" and ref in self.relation_ids:
+                named = int(rows_of(self.map.document.relations.id, np.array([ref]))[0])
+                ways += [r for t, r, side in self._members(named) if t == "way" and side == "left"]
+            elif kind == "way" and role in (None, role_there):
+                ways.append(ref)
+        return [s for s in (self._place_m(k, way) for way in ways) if s is not None]
 
     def _place_m(self, k: int, way_id: int) -> float | None:
         """Metres along lanelet k where the middle of a way lies; None for a way without nodes."""

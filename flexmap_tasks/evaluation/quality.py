@@ -63,11 +63,13 @@ def _deviations(slam: Trajectory, gnss: GnssTrack, warp: Warp, params: Evaluatio
     before = deviation(warp.motion.apply_xy(slam.xyz_m[:, :2]), gnss)
     yield _count("poses", np.ones(len(slam), dtype=bool))
     yield _count("poses_with_valid_gnss", after.valid)
-    for when, distance in (("before", before.distance_m), ("after", after.distance_m)):
-        yield from measures_of(f"deviation_{when}_all", distance)
-        yield from measures_of(f"deviation_{when}_valid", distance[after.valid])
-    rmse = statistics(after.distance_m)["rmse"]
-    yield Measure.at_most("deviation_rmse", rmse, "m", params.deviation_rmse_max_m)
+    yield from measures_of("deviation_before_all", before.distance_m)
+    yield from measures_of("deviation_before_valid", before.distance_m[after.valid])
+    for measure in measures_of("deviation_after_all", after.distance_m):
+        judged = measure.name == "deviation_after_all_rmse"
+        limit = params.deviation_rmse_max_m if judged else None
+        yield Measure.at_most(measure.name, measure.value, measure.unit, limit)
+    yield from measures_of("deviation_after_valid", after.distance_m[after.valid])
 
 
 def _alignment(warp: Warp) -> Iterator[Measure]:

@@ -1,7 +1,8 @@
 """Control points from a CSV file.
 
-One line per pair, after a header line. A side may be given in several ways at once; the first that is
-complete counts, in this order:
+One line per pair, after a header line. A side may be given in several ways at once; while they agree the first
+counts, in the order below. Where one of three or more was changed it is the one that counts; two that
+contradict each other are an error:
 
 source (on the SLAM side)  `source_x_m, source_y_m`          in the SLAM frame, as recorded
                            `source_row`                      row of the SLAM trajectory, from 0
@@ -69,12 +70,12 @@ class Place:
 
 @dataclass(frozen=True, slots=True)
 class ControlPointLine:
-    """One pair as the file gives it; `sigma_m` is None where the file gives none."""
+    """One pair as the file gives it: each side in every way it is given; `sigma_m` is None where there is none."""
 
     line: int
     name: str
-    source: Place
-    target: Place
+    source: tuple[Place, ...]
+    target: tuple[Place, ...]
     sigma_m: float | None
     use: bool
 
@@ -168,10 +169,10 @@ def _point(source: Source, line: int, columns: list[str], cells: list[str]) -> C
         raise AlignmentError(source.name, f"sigma_m: expected a number over 0, found {sigma:g}", where)
     places = []
     for side, groups in (("source", _SOURCES), ("target", _TARGETS)):
-        group = next((g for g in groups if set(g) <= numbers.keys()), None)
-        if group is None:
+        given = [g for g in groups if set(g) <= numbers.keys()]
+        if not given:
             raise AlignmentError(source.name, f"gives no complete {side}; fill one of its columns", where)
-        places.append(Place(group[0], tuple(numbers[key] for key in group)))
+        places.append(tuple(Place(g[0], tuple(numbers[key] for key in g)) for g in given))
     return ControlPointLine(line, name, places[0], places[1], sigma, use)
 
 

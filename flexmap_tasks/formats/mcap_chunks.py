@@ -95,12 +95,12 @@ def message_bounds(data: Buffer) -> tuple[Ints, Ints]:
 
 
 def indexed_bounds(unpacked: Buffer, entries: bytes) -> tuple[Ints, Ints] | None:
-    """Content bounds of the messages that index entries point to, in the order of the chunk.
+    """Content bounds of all messages of a chunk from the entries of all its indexes, in the order of the chunk.
 
-    None where an entry points to no message: then only a walk through the chunk tells.
+    None where an entry points to no message or a message has no entry: then only a walk tells.
     """
     offset = np.sort(np.frombuffer(entries, dtype="<u8")[1::2])
-    if len(offset) and (offset[-1] > len(unpacked) - _HEAD.size or (offset[1:] == offset[:-1]).any()):
+    if not len(offset) or offset[-1] > len(unpacked) - _HEAD.size:
         return None
     start = offset.astype(np.int64)
     head = gather(np.frombuffer(unpacked, dtype=np.uint8), start, _HEAD.size).view(_RECORD)
@@ -109,7 +109,22 @@ def indexed_bounds(unpacked: Buffer, entries: bytes) -> tuple[Ints, Ints] | None
         head["length"] > (len(unpacked) - start).astype(np.uint64)
     ).any():
         return None
-    return start, start + head["length"].astype(np.int64)
+    stop = start + head["length"].astype(np.int64)
+    return (start, stop) if _no_message_between(unpacked, start, stop) else None
+
+
+def _no_message_between(unpacked: Buffer, start: Ints, stop: Ints) -> bool:
+    """Whether the bytes before, between and behind the messages are whole records of other kinds."""
+    begin = np.concatenate([[0], stop])
+    end = np.concatenate([start - _HEAD.size, [len(unpacked)]])
+    if (begin > end).any():
+        return False
+    gaps = begin < end
+    bounds = zip(begin[gaps].tolist(), end[gaps].tolist(), strict=True)
+    try:
+        return all(opcode != MESSAGE for a, b in bounds for opcode, _, _ in records(unpacked, a, b))
+    except DamagedError:
+        return False
 
 
 def unpack_chunk(data: Buffer, chunk: Chunk) -> Buffer:

@@ -104,11 +104,22 @@ class Recording:
         """
         if self._loose:
             bounds = np.asarray(self._loose, dtype=np.int64)
-            yield self._pick(np.frombuffer(self._data, dtype=np.uint8), bounds[:, 0], bounds[:, 1], channels)
+            yield self._pick(self._data, bounds[:, 0], bounds[:, 1], channels)
         for chunk in self._chunks:
             if chunk.index is None or not channels.isdisjoint(chunk.index):
-                unpacked, begin, end = self._open(chunk, channels)
-                yield self._pick(np.frombuffer(unpacked, dtype=np.uint8), begin, end, channels)
+                yield self._messages_of(chunk, channels)
+
+    def _messages_of(self, chunk: Chunk, channels: frozenset[int]) -> Messages:
+        """Messages of a chunk; as many as its index has promised, where it has one."""
+        counts = chunk.counts()
+        if counts is None:
+            return self._pick(*self._open(chunk), channels)
+        expected = sum(count for channel, count in counts.items() if channel in channels)
+        found = self._pick(*self._open(chunk), channels)
+        if len(found) == expected:
+            return found
+        rule = f"the index promises {expected:,} messages and the chunk holds {len(found):,}"
+        raise self._damaged(chunk, DamagedError(chunk.begin, rule))
 
     def _walk(self) -> None:
         data, size = self._data, len(self._data)
@@ -204,16 +215,13 @@ class Recording:
         ids, numbers = np.unique(found, return_counts=True)
         return dict(zip(ids.tolist(), numbers.tolist(), strict=True))
 
-    def _open(self, chunk: Chunk, channels: frozenset[int] | None = None) -> tuple[Buffer, Ints, Ints]:
-        """The chunk's bytes and the bounds of all its messages, or of at least those on `channels`."""
+    def _open(self, chunk: Chunk) -> tuple[Buffer, Ints, Ints]:
+        """The chunk's bytes and the bounds of its messages, from its index where that tells the truth."""
         try:
             unpacked = unpack_chunk(self._data, chunk)
-            if channels is not None and chunk.index is not None:
-                spans = [chunk.index[number] for number in sorted(channels & chunk.index.keys())]
-                bounds = indexed_bounds(unpacked, b"".join(self._data[begin:end] for begin, end in spans))
-                if bounds is not None:
-                    return unpacked, *bounds
-            return unpacked, *message_bounds(unpacked)
+            spans = () if chunk.index is None else chunk.index.values()
+            bounds = indexed_bounds(unpacked, b"".join(self._data[begin:end] for begin, end in spans))
+            return unpacked, *(message_bounds(unpacked) if bounds is None else bounds)
         except DamagedError as error:
             raise self._damaged(chunk, error) from error
 
@@ -223,7 +231,8 @@ class Recording:
         head = np.dtype([("channel", "<u2"), ("sequence", "<u4"), ("log", "<u8"), ("publish", "<u8")])
         return gather(data, begin, _MESSAGE_HEAD).view(head)
 
-    def _pick(self, data: Bytes, begin: Ints, end: Ints, channels: frozenset[int]) -> Messages:
+    def _pick(self, buffer: Buffer, begin: Ints, end: Ints, channels: frozenset[int]) -> Messages:
+        data = np.frombuffer(buffer, dtype=np.uint8)
         heads = self._heads(data, begin, end)
         wanted = np.zeros(1 << 16, dtype=bool)
         wanted[sorted(channels)] = True

@@ -91,23 +91,21 @@ def _read(recording: Recording, topic: Topic) -> Rows:
 
 def _read_transforms(recording: Recording, topic: str | None, parent: str, child: str) -> Rows:
     """Transforms of the pair from the one topic that has it; /tf and /tf_static are looked through alike."""
-    found: list[Rows] = []
+    found: dict[str, Rows] = {}
     topics = _transform_topics(recording, topic)
     for candidate in topics:
         messages = _columns(recording, candidate)
         decoder = mcap_ros.transforms(parent, child)
         rows = _rows(recording, candidate, messages.log_time_ns, partial(_decode, messages, decoder))
         if len(rows):
-            found.append(rows)
+            found[candidate.label] = rows
     if not found:
         pairs = "; ".join(f"{t.label} has {_pairs(recording, t)}" for t in topics)
         raise InputError(recording.name, f"no transform {parent} -> {child}; {pairs}")
     if len(found) > 1:
-        names = ", ".join(t.label for t in topics)
-        raise InputError(
-            recording.name, f"several topics hold {parent} -> {child}: name one of {names} as `slam.topic`"
-        )
-    return found[0]
+        rule = f"several topics hold {parent} -> {child}: name one of {', '.join(found)} as `slam.topic`"
+        raise InputError(recording.name, rule)
+    return next(iter(found.values()))
 
 
 def _transform_topics(recording: Recording, topic: str | None) -> list[Topic]:

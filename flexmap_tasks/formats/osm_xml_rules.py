@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
+import pyarrow as pa
 
 from flexmap_tasks.errors import InputError
-from flexmap_tasks.model.arrays import Floats, Ints, Strings
+from flexmap_tasks.model.arrays import Bools, Floats, Ints, Strings
 from flexmap_tasks.model.osm import OsmDocument, Tags, rows_of
 
 
@@ -24,24 +25,27 @@ def lonlat_deg(name: str, ids: Ints, attributes: Tags) -> Floats:
 
 
 def _degrees(name: str, ids: Ints, text: Strings, key: str, limit: float) -> Floats:
-    blank = (text == None) | (text == "")  # noqa: E711  (an array of objects)
-    filled = np.where(blank, "nan", text)
-    try:
-        value = filled.astype(np.float64)
-    except ValueError:
-        value = np.array([_number(t) for t in filled])
+    value, blank = numbers(text)
     bad = np.flatnonzero(~blank & ~(np.abs(value) <= limit))
-    if not len(bad) and any("_" in t for t in filled.tolist()):
-        bad = np.flatnonzero(["_" in t for t in filled.tolist()])
     if len(bad):
         rule = f"{key} must be a number of degrees from {-limit:g} to {limit:g}, found {str(text[bad[0]])[:40]!r}"
         raise InputError(name, rule, f"node {ids[bad[0]]}")
     return value
 
 
+def numbers(text: Strings) -> tuple[Floats, Bools]:
+    """(n,) float64 of decimal texts, and where they are blank or None; NaN there, infinity for what is no number."""
+    blank: Bools = (text == None) | (text == "")  # noqa: E711  (an array of objects)
+    try:
+        column = pa.array(text, type=pa.string(), mask=blank).cast(pa.float64())
+        return column.to_numpy(zero_copy_only=False), blank
+    except pa.ArrowInvalid:
+        return np.array([np.nan if b else _number(t) for b, t in zip(blank, text, strict=True)]), blank
+
+
 def _number(text: str) -> float:
     try:
-        return float(text)
+        return np.inf if "_" in text else float(text)
     except ValueError:
         return np.inf
 

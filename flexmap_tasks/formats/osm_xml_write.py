@@ -20,7 +20,8 @@ _ESCAPE = str.maketrans(
 
 
 def write_osm_xml(document: OsmDocument) -> bytes:
-    """The document as UTF-8 XML: elements by `position`, attributes in their order, the id first.
+    """The document as UTF-8 XML: elements by `position`, attributes in their order, the id first; of the
+    root, version and generator first.
 
     Raises InputError where a text holds a character that XML cannot carry.
     """
@@ -41,7 +42,9 @@ def write_osm_xml(document: OsmDocument) -> bytes:
     ]
     position = np.concatenate([nodes.position, ways.position, relations.position, document.other_position])
     order = np.argsort(position, kind="stable")
-    root = "".join(_attributes(document.root.keys(), document.root.values()))
+    # The root's attributes have no order of their own: they travel through the store as a mapping.
+    keys = sorted(document.root, key=lambda key: (key != "version", key != "generator", key))
+    root = "".join(_attributes(keys, [document.root[key] for key in keys]))
     body = "".join([elements[i] for i in order])
     return f'<?xml version="1.0" encoding="UTF-8"?>\n<osm{root}>\n{body}</osm>\n'.encode()
 

@@ -127,7 +127,11 @@ class PcdReader:
         packed = np.fromfile(file, np.uint8, packed_size)
         packed.flags.writeable = False
         try:
-            os.posix_fallocate(scratch.fileno(), 0, size)  # writing to a mapped file on a full disk would kill us
+            if hasattr(
+                os, "posix_fallocate"
+            ):  # writing to a mapped file on a full disk would kill the process
+                os.posix_fallocate(scratch.fileno(), 0, size)
+            scratch.truncate(size)
         except OSError as error:
             raise no_room(error) from None
         out = np.memmap(scratch, np.uint8, "r+", shape=(size,)).view(np.ndarray)
@@ -191,7 +195,9 @@ def pcd_bytes(cloud: PointCloud) -> bytes:
 def no_room(error: OSError) -> StoreError:
     """The error of a full folder for temporary files."""
     folder, reason = tempfile.gettempdir(), error.strerror or error
-    return StoreError(f"{folder}: no room for the points of a cloud ({reason}); set TMPDIR to a larger folder")
+    return StoreError(
+        f"{folder}: no room for the points of a cloud ({reason}); set TMPDIR to a larger folder"
+    )
 
 
 @contextmanager

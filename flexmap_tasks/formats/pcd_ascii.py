@@ -24,23 +24,18 @@ _WHITE = bytes.maketrans(b"\t\r\v\f", b"    ")
 def ascii_type(header: PcdHeader) -> np.dtype[Any]:
     """Type of the records of an ASCII file: packed, coordinates in float64."""
     return np.dtype(
-        [
-            (f.name, "<f8" if f.name in AXES else f.dtype, f.shape)
-            for f in header.fields
-            if not f.padding
-        ]
+        [(f.name, "<f8" if f.name in AXES else f.dtype, f.shape) for f in header.fields if not f.padding]
     )
 
 
 def ascii_records(file: BinaryIO, header: PcdHeader, source: Source) -> Iterator[NDArray[np.void]]:
     """All points behind the header, in blocks; `file` stands at the first of them."""
-    done, line = 0, header.lines + 1
-    for text in _whole_lines(file, header, source, line):
+    done = 0
+    for line, text in _whole_lines(file, header, source):
         block = _parse(text, header, source, line)
         done += len(block)
         if done > header.points:
             raise InputError(source.name, f"POINTS says {header.points}, but there are more lines of data")
-        line += text.count(b"\n")
         if len(block):
             yield block
     if done < header.points:
@@ -49,26 +44,27 @@ def ascii_records(file: BinaryIO, header: PcdHeader, source: Source) -> Iterator
         )
 
 
-def _whole_lines(file: BinaryIO, header: PcdHeader, source: Source, line: int) -> Iterator[bytes]:
+def _whole_lines(file: BinaryIO, header: PcdHeader, source: Source) -> Iterator[tuple[int, bytes]]:
+    """Stretches of whole lines, each with the number of its first line in the file."""
     longest = MAX_NUMBER_BYTES * sum(f.count for f in header.fields)
-    rest = b""
+    rest, line = b"", header.lines + 1
     while chunk := file.read(max(BLOCK_BYTES, longest)):
         text = rest + chunk
         end = text.rfind(b"\n") + 1
         if not end and len(text) > longest:
             raise InputError(source.name, "a line without an end; is this really DATA ascii?", f"line {line}")
         rest = text[end:]
-        line += text.count(b"\n")
         if end:
-            yield text[:end]
+            yield line, text[:end]
+            line += text.count(b"\n", 0, end)
     if rest.strip():
-        yield rest
+        yield line, rest
 
 
 def _parse(text: bytes, header: PcdHeader, source: Source, first_line: int) -> NDArray[np.void]:
     columns = _columns(header)
     clean = _single_spaces(text)
-    if not clean.strip():
+    if clean == b"\n":
         return np.empty(0, ascii_type(header))
     try:
         table = pc.read_csv(
@@ -101,7 +97,10 @@ def _columns(header: PcdHeader) -> dict[str, pa.DataType]:
 
 def _single_spaces(text: bytes) -> bytes:
     """Values parted by exactly one space, no space at either end of a line, no empty lines."""
-    text = text.translate(_WHITE)
+    if any(
+        white in text for white in (b"\t", b"\r", b"\v", b"\f")
+    ):  # looking is much cheaper than translating
+        text = text.translate(_WHITE)
     while b"  " in text:
         text = text.replace(b"  ", b" ")
     return text.replace(b" \n", b"\n").replace(b"\n ", b"\n").strip(b" \n") + b"\n"

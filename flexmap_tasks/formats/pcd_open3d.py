@@ -1,4 +1,4 @@
-"""Open3D, where it does better than we would: neighbour statistics of millions of points."""
+"""Open3D's statistical outlier removal, the filter that point cloud people know; and whether Open3D is there."""
 
 from __future__ import annotations
 

@@ -43,17 +43,21 @@ def tile_extent(key: str, params: PointCloudParams) -> Extent:
 
 
 @stage("warped_tile")
-def warp_tile(tile: PointCloud, warp: Warp, params: PointCloudParams) -> dict[str, PointCloud]:
+def warp_tile(tile: PointCloud, warp: Warp | None, params: PointCloudParams) -> dict[str, PointCloud]:
     """The points of one SLAM tile in the map frame, by map tile; their order is kept within each.
 
     Normals (normal_x, normal_y or nx, ny) turn with the warp's local yaw. All other fields stay as they are.
+    Without a warp the SLAM frame is the map frame.
+
+    Raises CoverageError when the warp moves a point beyond any map frame.
     """
-    xyz_m = np.asarray(warp.apply(tile.xyz_m), dtype=np.float64)
+    xyz_m = tile.xyz_m if warp is None else np.asarray(warp.apply(tile.xyz_m), dtype=np.float64)
     if not (np.abs(xyz_m) <= MAX_COORDINATE_M).all():
         raise CoverageError(
             "alignment", "the warp moves points of the cloud out of any map frame; check the control points"
         )
-    moved = PointCloud(xyz_m, {**tile.fields, **_turned_normals(tile, warp)})
+    normals = {} if warp is None else _turned_normals(tile, warp)
+    moved = PointCloud(xyz_m, {**tile.fields, **normals})
     order, starts, cells = group_by_tile(xyz_m[:, :2], params.tile_size_m)
     bounds = zip(cells.tolist(), starts[:-1].tolist(), starts[1:].tolist(), strict=True)
     return {tile_key(x, y): moved.take(order[first:last]) for (x, y), first, last in bounds}

@@ -22,10 +22,10 @@ import numpy as np
 from flexmap_tasks.engine.stage import stage
 from flexmap_tasks.errors import InputError
 from flexmap_tasks.formats.osm_xml import read_osm_xml
-from flexmap_tasks.formats.osm_xml_rules import check_references, check_unique
+from flexmap_tasks.formats.osm_xml_rules import check_references, check_unique, numbers
 from flexmap_tasks.geometry.utm import to_utm, utm_epsg
 from flexmap_tasks.model.arrays import Bools, Floats, strings
-from flexmap_tasks.model.lanelets import BoundState, bounds, lanelet_relations
+from flexmap_tasks.model.lanelets import BoundState, bounds, lanelet_relations, usable_ways
 from flexmap_tasks.model.maps import Findings, LaneletMap
 from flexmap_tasks.model.osm import OsmDocument
 from flexmap_tasks.model.source import Source
@@ -103,23 +103,12 @@ def _projected(document: OsmDocument, name: str, local: Floats, drawn: Bools) ->
 def _metres(document: OsmDocument, name: str, key: str) -> Floats:
     """(n,) metres of a node tag, NaN where it is absent or empty."""
     text = document.nodes.tags.column(key)
-    blank = (text == None) | (text == "")  # noqa: E711  (an array of objects)
-    try:
-        value = np.where(blank, "nan", text).astype(np.float64)
-    except ValueError:
-        value = np.array([np.nan if b else _number(t) for b, t in zip(blank, text, strict=True)])
+    value, blank = numbers(text)
     bad = np.flatnonzero(~blank & ~(np.abs(value) <= LARGEST_M))
     if len(bad):
         rule = f"{key} must be a number of metres, found {str(text[bad[0]])[:40]!r}"
         raise InputError(name, rule, f"node {document.nodes.id[bad[0]]}")
     return value
-
-
-def _number(text: str) -> float:
-    try:
-        return float(text)
-    except ValueError:
-        return np.inf
 
 
 SIDES: tuple[Literal["left", "right"], ...] = ("left", "right")
@@ -130,8 +119,9 @@ _SHORT = "has a {} bound of less than two different nodes; it is kept as it is a
 def _bound_findings(document: OsmDocument) -> list[Finding]:
     rows = lanelet_relations(document)
     out: list[Finding] = []
+    usable = usable_ways(document)
     for side in SIDES:
-        _, state = bounds(document, rows, side)
+        _, state = bounds(document, rows, side, usable)
         for i in np.flatnonzero(state != BoundState.GOOD).tolist():
             lanelet = int(document.relations.id[rows[i]])
             if state[i] == BoundState.SHORT:

@@ -70,7 +70,19 @@ class BoundState(IntEnum):
     SHORT = 3
 
 
-def bounds(document: OsmDocument, relation_rows: Ints, side: Literal["left", "right"]) -> tuple[Ints, Ints]:
+def usable_ways(document: OsmDocument) -> Bools:
+    """(w,) bool: all nodes exist, and at least two are different."""
+    ways, rows = document.ways, node_rows(document)
+    owner = np.repeat(np.arange(len(ways.id)), np.diff(ways.offset))
+    missing = np.bincount(owner[rows < 0], minlength=len(ways.id)) > 0
+    first = rows[np.minimum(ways.offset[:-1], max(len(rows) - 1, 0))] if len(rows) else np.zeros(len(ways.id))
+    differs = rows != first[owner]
+    return (np.bincount(owner[differs], minlength=len(ways.id)) > 0) & ~missing
+
+
+def bounds(
+    document: OsmDocument, relation_rows: Ints, side: Literal["left", "right"], usable: Bools
+) -> tuple[Ints, Ints]:
     """(k,) row of the way that bounds each lanelet on one side, -1 unless there is exactly one; and BoundState."""
     relations = document.relations
     hit = np.flatnonzero((relations.member_role == side) & (relations.member_type == "way"))
@@ -79,7 +91,7 @@ def bounds(document: OsmDocument, relation_rows: Ints, side: Literal["left", "ri
     way = np.full(len(relations.id), -1, dtype=np.int64)
     way[owner] = rows_of(document.ways.id, relations.member_ref[hit])
     way[count != 1] = -1
-    long_enough = np.append(_usable_ways(document), True)[way]
+    long_enough = np.append(usable, True)[way]
     state = np.where(way < 0, BoundState.MISSING, np.where(long_enough, BoundState.GOOD, BoundState.SHORT))
     state[count > 1] = BoundState.SEVERAL
     return way[relation_rows], state[relation_rows].astype(np.int64)
@@ -93,8 +105,9 @@ def lanelets_of(lanelet_map: LaneletMap) -> Lanelets:
     """
     document = lanelet_map.document
     rows = lanelet_relations(document)
-    left, left_state = bounds(document, rows, "left")
-    right, right_state = bounds(document, rows, "right")
+    usable = usable_ways(document)
+    left, left_state = bounds(document, rows, "left", usable)
+    right, right_state = bounds(document, rows, "right", usable)
     good = (left_state == BoundState.GOOD) & (right_state == BoundState.GOOD)
     rows, left, right = rows[good], left[good], right[good]
     left_inverted, right_inverted = _orient(lanelet_map, left, right)
@@ -176,16 +189,6 @@ def adjacency(lanelets: Lanelets) -> Adjacency:
     order = np.lexsort((~same, ~on_left, b, a))
     order = order[a[order] != b[order]]
     return Adjacency(a[order], b[order], on_left[order], same[order])
-
-
-def _usable_ways(document: OsmDocument) -> Bools:
-    """(w,) bool: all nodes exist, and at least two are different."""
-    ways, rows = document.ways, node_rows(document)
-    owner = np.repeat(np.arange(len(ways.id)), np.diff(ways.offset))
-    missing = np.bincount(owner[rows < 0], minlength=len(ways.id)) > 0
-    first = rows[np.minimum(ways.offset[:-1], max(len(rows) - 1, 0))] if len(rows) else np.zeros(len(ways.id))
-    differs = rows != first[owner]
-    return (np.bincount(owner[differs], minlength=len(ways.id)) > 0) & ~missing
 
 
 def _orient(lanelet_map: LaneletMap, left: Ints, right: Ints) -> tuple[Bools, Bools]:

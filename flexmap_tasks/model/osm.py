@@ -177,6 +177,9 @@ def rows_of(ids: Ints, wanted: Ints) -> Ints:
     """Row of each wanted id among unique `ids`, -1 where it is not there."""
     if not len(ids):
         return np.full(len(wanted), -1, dtype=np.int64)
+    if bool((ids[1:] > ids[:-1]).all()):
+        place = np.minimum(np.searchsorted(ids, wanted), len(ids) - 1)
+        return np.where(ids[place] == wanted, place, -1)
     order = np.argsort(ids, kind="stable")
     place = np.minimum(np.searchsorted(ids, wanted, sorter=order), len(ids) - 1)
     row = order[place]

@@ -108,7 +108,7 @@ def test_deviation_before_and_after() -> None:
 @pytest.mark.parametrize(("limit", "passed"), [(2.2, False), (2.3, True), (None, None)])
 def test_limits(limit: float | None, passed: bool | None) -> None:
     quality = table(limits={"deviation_rmse_max_m": limit})
-    (measure,) = [m for m in quality.measures if m.name == "deviation_rmse"]
+    (measure,) = [m for m in quality.measures if m.name == "deviation_after_all_rmse"]
     assert measure.value == pytest.approx(5**0.5)
     assert measure.passed is passed
     assert quality.passed is (passed is not False)

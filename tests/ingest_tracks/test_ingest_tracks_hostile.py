@@ -285,6 +285,23 @@ def test_an_index_that_points_astray_does_not_lose_messages(tmp_path):
         np.testing.assert_array_equal(read().stamp_ns, table.stamp_ns)
 
 
+@pytest.mark.parametrize("entries", [0, 1, 2, 5])
+def test_an_index_and_a_chunk_that_disagree_are_an_error(tmp_path, entries):
+    messages = [rec.ros_record("/fix", T0 + i, rec.fix(T0 + i, (48.0, 11.0, 5.0))) for i in range(3)]
+    file = rec.write(tmp_path / "a.mcap", messages, Layout(summary=False))
+    data = file.read_bytes()
+    (place,) = (
+        (begin, end) for opcode, begin, end in records(data, len(MAGIC), len(data) - 8) if opcode == 7
+    )
+    kept = data[place[0] + 6 : place[1]][: 16 * entries].ljust(16 * entries, b"\0")
+    index = record(7, data[place[0] : place[0] + 2] + struct.pack("<I", len(kept)) + kept)
+    file.write_bytes(data[: place[0] - 9] + index + record(2, struct.pack("<QQI", 0, 0, 0)) + MAGIC)
+    with pytest.raises(
+        InputError, match=r"the index promises \d messages and the chunk holds 3|no topic holds"
+    ):
+        ingest_gnss(Source("a.mcap", file), GnssParams())
+
+
 @pytest.mark.parametrize("schema", [b"", b"\xff\xff", b"\x0a\x02\x0a\x00"])
 def test_protobuf_schemas_that_describe_nothing(tmp_path, schema):
     file = rec.write(

@@ -17,7 +17,9 @@ from flexmap_tasks.formats.osm_xml import parse_osm_xml, read_osm_xml
 from flexmap_tasks.formats.osm_xml_write import write_osm_xml
 from flexmap_tasks.geometry.utm import to_utm, utm_epsg
 from flexmap_tasks.georeferencing.bundle import georeference
+from flexmap_tasks.georeferencing.map import georeference_map
 from flexmap_tasks.ingest.lanelet_map import ingest_lanelet_map
+from flexmap_tasks.model.alignment import RigidMotion, Warp
 from flexmap_tasks.model.maps import LaneletMap
 from flexmap_tasks.model.projection import Projection
 from flexmap_tasks.model.source import Source
@@ -68,6 +70,15 @@ def test_a_move_does_no_harm(
     after = tmp_path / "lanelet2_map.osm"
     after.write_bytes(files["lanelet2_map.osm"])
     assert judged(judge, shared_data / name, after, "--moved") == "total harm: 0"
+
+
+def test_the_warp_moves_every_node_and_nothing_else(shared_data: Path) -> None:
+    before = ingest_lanelet_map(Source("map.osm", shared_data / MAPS[0]))
+    turn = np.array([[0.0, -1.0], [1.0, 0.0]])
+    after = georeference_map(before, Warp(RigidMotion(turn, np.array([5.0, -7.0]), 1.0, 1.0, 0.0), None))
+    x, y, z = before.xyz_m.T
+    assert after.xyz_m == pytest.approx(np.column_stack([5.0 - y, x - 7.0, z]))
+    assert after.document is before.document
 
 
 @pytest.mark.parametrize("name", MAPS)

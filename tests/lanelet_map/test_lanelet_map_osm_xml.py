@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -180,6 +181,15 @@ PIECES = [
     "9223372036854775807", "9223372036854775808", ' id="3"', "<tag k='a' v='b'/>", "<x/>", "<x>t</x>", "</osm>", "\ufffe",
     "<!DOCTYPE osm>", "lat", "nan", " x='1'",
 ]  # fmt: skip
+
+
+def outcome(read: Callable[[], OsmDocument | None]) -> Any:
+    """The document, or the line a person would read."""
+    try:
+        document = read()
+    except InputError as error:
+        return str(error)
+    return None if document is None else plain(document)
 
 
 @given(

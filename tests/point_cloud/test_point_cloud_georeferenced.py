@@ -9,7 +9,7 @@ import pytest
 import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from pcd_writer import source
+from pcd_writer import pcd, source
 from scipy.spatial import Delaunay
 
 from flexmap_tasks.config import PointCloudParams
@@ -23,9 +23,10 @@ from flexmap_tasks.georeferencing.cloud import (
     tile_extent,
     warp_tile,
 )
+from flexmap_tasks.ingest.point_cloud import ingest_point_cloud
 from flexmap_tasks.model.alignment import RigidMotion, RubberSheet, Warp
 from flexmap_tasks.model.arrays import strings
-from flexmap_tasks.model.clouds import PointCloud, TileKeys, tile_key, tile_numbers
+from flexmap_tasks.model.clouds import PointCloud, TileKeys, Tiles, tile_key, tile_numbers
 
 PARAMS = PointCloudParams()
 
@@ -161,6 +162,14 @@ def test_normals_stay_of_unit_length_in_a_sheet() -> None:
         np.testing.assert_allclose(np.hypot(part.fields["normal_x"], part.fields["normal_y"]), 1, atol=1e-12)
 
 
+def test_without_a_warp_tiles_stay_as_they_are() -> None:
+    for key, tile in slam_tiles(points=300).items():
+        parts = warp_tile(tile, None, PARAMS)
+        assert list(parts) == [key]
+        np.testing.assert_array_equal(parts[key].xyz_m, tile.xyz_m)
+        np.testing.assert_array_equal(parts[key].fields["row"], tile.fields["row"])
+
+
 def test_a_warp_out_of_this_world_is_refused() -> None:
     with pytest.raises(CoverageError, match="out of any map frame"):
         warp_tile(PointCloud(np.zeros((1, 3)), {}), rigid(0, (1e12, 0)), PARAMS)
@@ -203,6 +212,27 @@ class Folder:
 
     def sub(self, prefix: str) -> Folder:
         return Folder({n[len(prefix) :]: c for n, c in self.files.items() if n.startswith(prefix)})
+
+
+def test_tiles_survive_the_store(tmp_path: Path) -> None:
+    records = np.zeros(
+        300, [("x", "<f8"), ("wide", "<i2", (3,)), ("y", "<f8"), ("ring", "<u1"), ("z", "<f4")]
+    )
+    rng = np.random.default_rng(8)
+    for name in ("x", "y", "z", "ring"):
+        records[name] = rng.uniform(0, 70, 300)
+    records["wide"] = rng.integers(-99, 99, (300, 3))
+    tiles = ingest_point_cloud(source(tmp_path, pcd(records, "binary")), PARAMS)
+    stored = Folder(dict(encode(tiles, "tiles")))
+    loaded = decode(Tiles, stored, "tiles")  # type: ignore[arg-type]
+    assert loaded.index.key.tolist() == tiles.index.key.tolist()
+    assert set(loaded.tiles) == set(tiles.tiles)
+    for key, tile in tiles.tiles.items():
+        np.testing.assert_array_equal(loaded.tiles[key].xyz_m, tile.xyz_m)
+        assert set(loaded.tiles[key].fields) == set(tile.fields) == {"wide", "ring"}
+        for name, values in tile.fields.items():
+            assert loaded.tiles[key].fields[name].dtype == values.dtype
+            np.testing.assert_array_equal(loaded.tiles[key].fields[name], values)
 
 
 def test_parts_survive_the_store() -> None:

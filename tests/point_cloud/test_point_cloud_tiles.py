@@ -13,10 +13,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 from pcd_writer import pcd, source
+from scipy.spatial import cKDTree
 
 from flexmap_tasks.config import PointCloudParams
 from flexmap_tasks.errors import InputError, StoreError
-from flexmap_tasks.formats.pcd_open3d import check_open3d
+from flexmap_tasks.formats.pcd_open3d import check_open3d, inlier_rows
 from flexmap_tasks.formats.pcd_spill import Spill
 from flexmap_tasks.geometry.tiles import first_per_voxel, group_by_tile
 from flexmap_tasks.ingest.point_cloud import ingest_point_cloud
@@ -128,6 +129,16 @@ def test_isolated_points_are_left_out_on_request() -> None:
     assert tiles.tiles["0_0"].fields["row"].tolist() == list(range(3000))
     assert list(tiles.findings.code) == ["cloud-outliers"]
     assert tiles.findings.message[0].startswith("2 isolated points of 3002")
+
+
+def test_what_stands_out_is_what_another_library_says() -> None:
+    rng = np.random.default_rng(6)
+    xyz_m = np.vstack([rng.uniform(0, 20, (4000, 3)) * [1, 1, 0.02], rng.uniform(0, 20, (100, 3))])
+    distance = cKDTree(xyz_m).query(xyz_m, 16)[0].mean(axis=1)
+    expected = np.flatnonzero(distance < distance.mean() + 1.5 * distance.std(ddof=1))
+    assert 0 < len(expected) < len(xyz_m)
+    assert inlier_rows(xyz_m, 16, 1.5).tolist() == expected.tolist()
+    assert inlier_rows(xyz_m[:16], 16, 1.5).tolist() == list(range(16))
 
 
 def test_without_its_system_libraries_open3d_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -19,7 +20,14 @@ lanelet2 = pytest.importorskip("lanelet2")
 
 MAPS = ("garching/lanelet2_route_1.osm", "lanelet2/mapping_example.osm", "lanelet2/sample_map_planning.osm")
 TAGS = [
-    {"highway": "secondary", "maxspeed": "50", "name": "Ost", "oneway": "no", "surface": "asphalt", "lanes": "2"},
+    {
+        "highway": "secondary",
+        "maxspeed": "50",
+        "name": "Ost",
+        "oneway": "no",
+        "surface": "asphalt",
+        "lanes": "2",
+    },
     {"highway": "residential", "maxspeed": "30 mph", "oneway": "reversible", "lanes": "variable"},
     {"highway": "living_street", "name": "West", "maxspeed": "walk", "oneway": "no"},
     {"highway": "motorway", "oneway": "yes", "maxspeed": "none", "lanes": "1"},
@@ -36,15 +44,25 @@ def made_up_matches(lanelet_map: LaneletMap, seed: int) -> Matches:
     random = np.random.default_rng(seed)
     rows = []
     for k in range(len(lanelets)):
-        stops = np.sort(random.uniform(0.0, length[k], random.integers(0, 4)))
+        stops = np.sort(random.uniform(0.0, length[k], random.choice(4, p=[0.7, 0.1, 0.1, 0.1])))
         edges = [0.0, *stops.tolist(), float(length[k])]
-        for a, b in zip(edges, edges[1:], strict=False):
+        for a, b in pairwise(edges):
             if random.uniform() < 0.9:
-                rows.append((int(lanelets.id[k]), a, b, int(random.integers(1, len(TAGS) + 1)) * 100, 1 - 2 * int(random.integers(0, 2))))
+                rows.append(
+                    (
+                        int(lanelets.id[k]),
+                        a,
+                        b,
+                        int(random.integers(1, len(TAGS) + 1)) * 100,
+                        1 - 2 * int(random.integers(0, 2)),
+                    )
+                )
     return matches_of(rows)
 
 
-def judged(judge: Path, before: Path, after: Path, deleted: list[int] | None = None) -> tuple[dict[str, int], dict[str, float]]:
+def judged(
+    judge: Path, before: Path, after: Path, deleted: list[int] | None = None
+) -> tuple[dict[str, int], dict[str, float]]:
     command = [sys.executable, str(judge), str(before), str(after), "--json"]
     command += ["--deleted", *map(str, deleted)] if deleted else []
     done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
@@ -60,7 +78,9 @@ def read_speeds_kmh(path: Path, lonlat: tuple[float, float]) -> dict[int, float]
     )
     projector = lanelet2.projection.UtmProjector(lanelet2.io.Origin(lonlat[1], lonlat[0]))
     loaded, _ = lanelet2.io.loadRobust(str(path), projector)
-    return {x.id: float(rules.speedLimit(x).speedLimit) for x in loaded.laneletLayer if not x.regulatoryElements}
+    return {
+        x.id: float(rules.speedLimit(x).speedLimit) for x in loaded.laneletLayer if not x.regulatoryElements
+    }
 
 
 @pytest.mark.parametrize("name", MAPS)

@@ -9,11 +9,29 @@ import shapely
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from transfer_worlds import (
-    LANE_M, Draft, along_x, matches_of, members_of, read, road, roads_of, rows, run, save, tags_of,
-)  # fmt: skip
+    LANE_M,
+    Draft,
+    along_x,
+    matches_of,
+    members_of,
+    read,
+    road,
+    roads_of,
+    rows,
+    run,
+    save,
+    tags_of,
+)
 
 from flexmap_tasks.config import TransferParams
-from flexmap_tasks.model.lanelets import adjacency, bound_polylines, centrelines, follow_pairs, lanelets_of, lengths_m
+from flexmap_tasks.model.lanelets import (
+    adjacency,
+    bound_polylines,
+    centrelines,
+    follow_pairs,
+    lanelets_of,
+    lengths_m,
+)
 from flexmap_tasks.model.maps import LaneletMap
 
 SPEEDS = [{"highway": "secondary", "maxspeed": str(v)} for v in (50, 30, 70, 40, 60, 20)]
@@ -111,7 +129,10 @@ def test_no_cut_where_nothing_that_lands_changes(tmp_path: Path) -> None:
     draft = Draft()
     road(draft, [100.0], 1, 0)
     before = draft.read(tmp_path)
-    same = [{"maxspeed": "50", "lit": "yes", "lanes": "2"}, {"maxspeed": "50 km/h", "lit": "no", "lanes": "3"}]
+    same = [
+        {"maxspeed": "50", "lit": "yes", "lanes": "2"},
+        {"maxspeed": "50 km/h", "lit": "no", "lanes": "3"},
+    ]
     assert len(lanelets_of(run(before, along_x(before, [50.0]), roads_of(same)).map)) == 1
     as_it_is = [{"maxspeed": "10"}, {}]
     assert len(lanelets_of(run(before, along_x(before, [50.0]), roads_of(as_it_is)).map)) == 1
@@ -189,19 +210,29 @@ def rules_world(tmp_path: Path) -> tuple[LaneletMap, dict[str, int]]:
         ids[name] = draft.way([draft.node(x, -3.5), draft.node(x, 0.0)], type="stop_line")
     sign = draft.way([draft.node(50.0, -5.0), draft.node(50.5, -5.0)], type="traffic_sign")
     rule = {"type": "regulatory_element"}
-    ids["light"] = draft.relation([("way", sign, "refers"), ("way", ids["stop"], "ref_line")], subtype="traffic_light", **rule)
+    ids["light"] = draft.relation(
+        [("way", sign, "refers"), ("way", ids["stop"], "ref_line")], subtype="traffic_light", **rule
+    )
     ids["dark"] = draft.relation([("way", sign, "refers")], subtype="traffic_light", **rule)
-    ids["sign"] = draft.relation([("way", sign, "refers"), ("way", ids["early"], "ref_line")], subtype="traffic_sign", **rule)
+    ids["sign"] = draft.relation(
+        [("way", sign, "refers"), ("way", ids["early"], "ref_line")], subtype="traffic_sign", **rule
+    )
     ids["speed"] = draft.relation([("way", sign, "refers")], subtype="speed_limit", sign_type="de274", **rule)
-    ids["yield"] = draft.relation([("relation", ahead, "yield"), ("relation", back, "right_of_way")], subtype="right_of_way", **rule)
+    ids["yield"] = draft.relation(
+        [("relation", ahead, "yield"), ("relation", back, "right_of_way")], subtype="right_of_way", **rule
+    )
     for name in ("light", "dark", "sign", "speed", "yield"):
         draft.relations[ahead][0].append(("relation", ids[name], "regulatory_element"))
     ids["centre"] = draft.way([draft.node(x, -1.75) for x in (0.0, 33.0, 66.0, 100.0)], type="virtual")
     draft.relations[ahead][0].append(("way", ids["centre"], "centerline"))
     first, last = refs_at(draft, low)
     far = draft.way([last, draft.node(100.0, -20.0), draft.node(0.0, -20.0), first])
-    ids["area"] = draft.relation([("way", far, "outer"), ("way", low, "outer")], type="multipolygon", subtype="parking")
-    ids["reverse"] = draft.relation([("way", low, "outer"), ("way", far, "outer")], type="multipolygon", subtype="parking")
+    ids["area"] = draft.relation(
+        [("way", far, "outer"), ("way", low, "outer")], type="multipolygon", subtype="parking"
+    )
+    ids["reverse"] = draft.relation(
+        [("way", low, "outer"), ("way", far, "outer")], type="multipolygon", subtype="parking"
+    )
     ids["far"] = far
     return draft.read(tmp_path), ids
 
@@ -210,8 +241,16 @@ def test_rules_stay_on_the_pieces_they_hold_for(tmp_path: Path) -> None:
     before, ids = rules_world(tmp_path)
     after = run(before, along_x(before, [40.0]), roads_of(SPEEDS)).map
     first = ids["ahead"]
-    (second,) = (i for i in lanelets_of(after).id if i not in (ids["ahead"], ids["back"]) and bounds_of(after, i)["right"] != ids["low"] and "centerline" in bounds_of(after, i))
-    held = [{r for _, r, role in members_of(after, i) if role == "regulatory_element"} for i in (first, second)]
+    (second,) = (
+        i
+        for i in lanelets_of(after).id
+        if i not in (ids["ahead"], ids["back"])
+        and bounds_of(after, i)["right"] != ids["low"]
+        and "centerline" in bounds_of(after, i)
+    )
+    held = [
+        {r for _, r, role in members_of(after, i) if role == "regulatory_element"} for i in (first, second)
+    ]
     assert held[0] == {ids["sign"], ids["speed"], ids["yield"]}
     assert held[1] == {ids["light"], ids["dark"], ids["speed"], ids["yield"]}
     rule = members_of(after, ids["yield"])
@@ -227,10 +266,16 @@ def test_areas_and_drawn_centrelines_get_both_pieces_in_order(tmp_path: Path) ->
         ring = [refs(after, ref) for _, ref, _ in members_of(after, area)]
         assert len(ring) == 3
         for a, b in zip(ring, ring[1:] + ring[:1], strict=True):
-            assert set((a[0], a[-1])) & set((b[0], b[-1]))
-    drawn = [bounds_of(after, i)["centerline"] for i in lanelets_of(after).id if "centerline" in bounds_of(after, i)]
+            assert {a[0], a[-1]} & {b[0], b[-1]}
+    drawn = [
+        bounds_of(after, i)["centerline"]
+        for i in lanelets_of(after).id
+        if "centerline" in bounds_of(after, i)
+    ]
     assert drawn[0] == ids["centre"]
-    assert [after.xyz_m[np.isin(after.document.nodes.id, refs(after, w)), 0].max() for w in drawn] == pytest.approx([40.0, 100.0])
+    assert [
+        after.xyz_m[np.isin(after.document.nodes.id, refs(after, w)), 0].max() for w in drawn
+    ] == pytest.approx([40.0, 100.0])
 
 
 def test_a_way_that_serves_a_rule_is_not_cut(tmp_path: Path) -> None:
@@ -251,7 +296,9 @@ def test_a_way_that_serves_a_rule_is_not_cut(tmp_path: Path) -> None:
     step_m=st.sampled_from([3.0, 10.0, 200.0]),
     snap_m=st.sampled_from([0.0, 1.0]),
 )
-def test_any_change_points(stops: list[float], forward: int, backward: int, step_m: float, snap_m: float) -> None:
+def test_any_change_points(
+    stops: list[float], forward: int, backward: int, step_m: float, snap_m: float
+) -> None:
     draft = Draft()
     road(draft, [80.0, 120.0], forward, backward, step_m)
     params = TransferParams(split_snap_m=snap_m)

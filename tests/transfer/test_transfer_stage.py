@@ -18,19 +18,40 @@ def one_road(tmp_path: Path, **tags: str):
 
 def test_values_land_and_absent_ones_empty_nothing(tmp_path: Path) -> None:
     before, ahead, back = one_road(tmp_path, road_surface="sett")
-    roads = roads_of([{"highway": "secondary", "maxspeed": "50", "name": "Am Ring", "maxspeed:backward": "30", "surface": ""}])
+    roads = roads_of(
+        [
+            {
+                "highway": "secondary",
+                "maxspeed": "50",
+                "name": "Am Ring",
+                "maxspeed:backward": "30",
+                "surface": "",
+            }
+        ]
+    )
     after = run(before, along_x(before, []), roads)
     assert tags_of(after.map, ahead) == tags_of(before, ahead) | {"speed_limit": "50", "road_name": "Am Ring"}
     assert tags_of(after.map, back) == tags_of(before, back) | {"speed_limit": "30", "road_name": "Am Ring"}
     (row,) = rows(after, lanelet_id=ahead, key="speed_limit")
-    assert (row["old"], row["new"], row["way_id"], row["way_version"], row["action"]) == ("10", "50", 100, 1, "set")
+    assert (row["old"], row["new"], row["way_id"], row["way_version"], row["action"]) == (
+        "10",
+        "50",
+        100,
+        1,
+        "set",
+    )
     assert rows(after, lanelet_id=ahead, key="subtype", action="keep")
     assert not rows(after, key="road_surface")
 
 
 def test_twice_changes_nothing(tmp_path: Path) -> None:
     before, *_ = one_road(tmp_path)
-    roads = roads_of([{"highway": "residential", "maxspeed": "50", "oneway": "no"}, {"highway": "residential", "maxspeed": "30"}])
+    roads = roads_of(
+        [
+            {"highway": "residential", "maxspeed": "50", "oneway": "no"},
+            {"highway": "residential", "maxspeed": "30"},
+        ]
+    )
     once = run(before, along_x(before, [47.0]), roads)
     twice = run(once.map, along_x(once.map, [47.0]), roads)
     assert len(lanelets_of(once.map)) == 4
@@ -61,14 +82,18 @@ def test_one_way_fills_only_a_gap(tmp_path: Path) -> None:
 
 def test_a_lanelet_against_a_one_way_road_is_named_and_left(tmp_path: Path) -> None:
     before, ahead, back = one_road(tmp_path)
-    after = run(before, along_x(before, []), roads_of([{"highway": "primary", "oneway": "yes", "maxspeed": "70"}]))
+    after = run(
+        before, along_x(before, []), roads_of([{"highway": "primary", "oneway": "yes", "maxspeed": "70"}])
+    )
     assert tags_of(after.map, ahead)["speed_limit"] == "70"
     assert tags_of(after.map, back) == tags_of(before, back)
     assert [r["new"] for r in rows(after, lanelet_id=back, action="review", key="speed_limit")] == ["70"]
     assert (after.findings.code.tolist(), after.findings.id.tolist()) == (["wrong-way-lanelet"], [back])
 
 
-@pytest.mark.parametrize("subtype", ["bus_lane", "bicycle_lane", "crosswalk", "walkway", "road_shoulder", "exit"])
+@pytest.mark.parametrize(
+    "subtype", ["bus_lane", "bicycle_lane", "crosswalk", "walkway", "road_shoulder", "exit"]
+)
 def test_the_author_knows_the_subtype(tmp_path: Path, subtype: str) -> None:
     before, ahead, _ = one_road(tmp_path, subtype=subtype, participant_vehicle="")
     after = run(before, along_x(before, []), roads_of([{"highway": "motorway", "maxspeed": "100"}]))
@@ -89,7 +114,9 @@ def test_location_only_with_evidence(tmp_path: Path) -> None:
     after = run(before, along_x(before, []), roads_of([{"highway": "residential"}]))
     found = [tags_of(after.map, r.forward[0][0])["location"] for r in (rural, silent, private)]
     assert found == ["nonurban", "urban", "private"]
-    zone = run(before, along_x(before, []), roads_of([{"highway": "residential", "zone:traffic": "DE:urban"}]))
+    zone = run(
+        before, along_x(before, []), roads_of([{"highway": "residential", "zone:traffic": "DE:urban"}])
+    )
     found = [tags_of(zone.map, r.forward[0][0])["location"] for r in (rural, silent, private)]
     assert found == ["urban", "urban", "private"]
 
@@ -105,9 +132,16 @@ def test_review_and_doubt_change_nothing(tmp_path: Path) -> None:
 
 def test_a_value_of_a_small_part_is_not_written(tmp_path: Path) -> None:
     before, ahead, _ = one_road(tmp_path)
-    after = run(before, matches_of([(ahead, 0.0, 12.0, 100, 1)]), roads_of([{"maxspeed": "70"}]), TransferParams(split=False))
+    after = run(
+        before,
+        matches_of([(ahead, 0.0, 12.0, 100, 1)]),
+        roads_of([{"maxspeed": "70"}]),
+        TransferParams(split=False),
+    )
     assert tags_of(after.map, ahead)["speed_limit"] == "10"
-    assert rows(after, lanelet_id=ahead, key="speed_limit", action="review")[0]["reason"].startswith("holds for 12 %")
+    assert rows(after, lanelet_id=ahead, key="speed_limit", action="review")[0]["reason"].startswith(
+        "holds for 12 %"
+    )
 
 
 def test_majority_of_metres_without_splitting(tmp_path: Path) -> None:
@@ -117,7 +151,10 @@ def test_majority_of_metres_without_splitting(tmp_path: Path) -> None:
     assert [tags_of(after.map, x)["speed_limit"] for x in (ahead, back)] == ["30", "30"]
 
 
-@pytest.mark.parametrize(("policy", "speed", "action"), [("osm_wins", "50", "set"), ("fill_only", "10", "keep"), ("review_conflicts", "10", "review")])
+@pytest.mark.parametrize(
+    ("policy", "speed", "action"),
+    [("osm_wins", "50", "set"), ("fill_only", "10", "keep"), ("review_conflicts", "10", "review")],
+)
 def test_policies(tmp_path: Path, policy: str, speed: str, action: str) -> None:
     before, ahead, _ = one_road(tmp_path)
     rule = TransferRule(key="maxspeed", target="speed_limit", parser="speed", policy=policy)
@@ -128,9 +165,16 @@ def test_policies(tmp_path: Path, policy: str, speed: str, action: str) -> None:
 
 def test_garbage_ends_nothing(tmp_path: Path) -> None:
     before, ahead, _ = one_road(tmp_path)
-    bad = {k: "\x7f☃;;|-1e999" for k in ("highway", "maxspeed", "name", "surface", "oneway", "lane_markings", "lanes")}
+    bad = dict.fromkeys(
+        ("highway", "maxspeed", "name", "surface", "oneway", "lane_markings", "lanes"), "\x7f☃;;|-1e999"
+    )
     good = [(ahead, 0.0, 50.0, 100, 1), (ahead, np.nan, 90.0, 100, 1), (ahead, 90.0, 60.0, 100, 1)]
-    lost = [(ahead, 50.0, 60.0, 4711, 1), (4711, 0.0, 1.0, 100, 1), (ahead, 60.0, 1e12, 100, -1), (ahead, 0.0, 9.0, 100, 0)]
+    lost = [
+        (ahead, 50.0, 60.0, 4711, 1),
+        (4711, 0.0, 1.0, 100, 1),
+        (ahead, 60.0, 1e12, 100, -1),
+        (ahead, 0.0, 9.0, 100, 0),
+    ]
     after = run(before, matches_of(good + lost), roads_of([bad]))
     assert tags_of(after.map, ahead) == tags_of(before, ahead)
     assert "osm-value-not-used" in after.findings.code.tolist()
@@ -196,13 +240,17 @@ def test_no_fragment_that_a_rule_names(tmp_path: Path) -> None:
     draft, _, stray = fragment_world(tmp_path)
     draft.relation([("relation", stray, "yield")], type="regulatory_element", subtype="right_of_way")
     before = draft.read(tmp_path)
-    after = run(before, along_x(before, []), roads_of([{"lanes": "2"}]), TransferParams(remove_fragments=True))
+    after = run(
+        before, along_x(before, []), roads_of([{"lanes": "2"}]), TransferParams(remove_fragments=True)
+    )
     assert stray in lanelets_of(after.map).id
 
 
 def test_no_fragment_where_the_count_fits(tmp_path: Path) -> None:
     draft, _, stray = fragment_world(tmp_path)
     before = draft.read(tmp_path)
-    after = run(before, along_x(before, []), roads_of([{"lanes": "3"}]), TransferParams(remove_fragments=True))
+    after = run(
+        before, along_x(before, []), roads_of([{"lanes": "3"}]), TransferParams(remove_fragments=True)
+    )
     assert stray in lanelets_of(after.map).id
     assert members_of(after.map, stray) == members_of(before, stray)

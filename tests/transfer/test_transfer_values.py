@@ -5,7 +5,15 @@ import math
 import pytest
 
 from flexmap_tasks.config import TransferParams, TransferRule
-from flexmap_tasks.conflation.osm_values import Offer, count, format_kmh, offer, one_way_sense, same_value, speed_kmh
+from flexmap_tasks.conflation.osm_values import (
+    Offer,
+    count,
+    format_kmh,
+    offer,
+    one_way_sense,
+    same_value,
+    speed_kmh,
+)
 
 PARAMS = TransferParams()
 SPEED = TransferRule(key="maxspeed", target="speed_limit", parser="speed")
@@ -144,6 +152,8 @@ def test_same_meaning() -> None:
     assert not same_value(NAME, "a", "b")
 
 
-@pytest.mark.parametrize(("text", "lanes"), [("2", 2), ("variable", None), ("1.5", None), ("0", None), ("-1", None), ("999", None)])
+@pytest.mark.parametrize(
+    ("text", "lanes"), [("2", 2), ("variable", None), ("1.5", None), ("0", None), ("-1", None), ("999", None)]
+)
 def test_lane_numbers(text: str, lanes: int | None) -> None:
     assert count(text) == lanes

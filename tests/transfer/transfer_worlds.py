@@ -50,7 +50,13 @@ class Draft:
         return self.last
 
     def lanelet(self, left: int, right: int, **tags: str) -> int:
-        defaults = {"type": "lanelet", "subtype": "road", "location": "urban", "one_way": "yes", "speed_limit": "10"}
+        defaults = {
+            "type": "lanelet",
+            "subtype": "road",
+            "location": "urban",
+            "one_way": "yes",
+            "speed_limit": "10",
+        }
         members = [("way", left, "left"), ("way", right, "right")]
         return self.relation(members, **{k: v for k, v in (defaults | tags).items() if v})
 
@@ -62,7 +68,9 @@ class Draft:
             tags = _xml_tags({"local_x": f"{x:.4f}", "local_y": f"{y:.4f}", "ele": "1.5000"})
             out.append(f'<node id="{i}" lat="{lat:.11f}" lon="{lon:.11f}">{tags}</node>')
         for i, (refs, tags) in self.ways.items():
-            out.append(f'<way id="{i}">' + "".join(f'<nd ref="{r}"/>' for r in refs) + _xml_tags(tags) + "</way>")
+            out.append(
+                f'<way id="{i}">' + "".join(f'<nd ref="{r}"/>' for r in refs) + _xml_tags(tags) + "</way>"
+            )
         for i, (members, tags) in self.relations.items():
             body = "".join(f'<member type="{t}" ref="{r}" role="{o}"/>' for t, r, o in members)
             out.append(f'<relation id="{i}">{body}{_xml_tags(tags)}</relation>')
@@ -92,7 +100,12 @@ class Road:
 
 
 def road(
-    draft: Draft, sections: list[float], forward: int = 1, backward: int = 1, step_m: float = 10.0, **tags: str
+    draft: Draft,
+    sections: list[float],
+    forward: int = 1,
+    backward: int = 1,
+    step_m: float = 10.0,
+    **tags: str,
 ) -> Road:
     """Right-hand traffic; way j of a section is the bound at y = (j - forward) * LANE_M, drawn along x."""
     out = Road(draft, [], [], [])
@@ -109,7 +122,9 @@ def road(
             bounds.append(draft.way(refs))
         out.bounds.append(bounds)
         out.forward.append([draft.lanelet(bounds[j + 1], bounds[j], **tags) for j in range(forward)])
-        out.backward.append([draft.lanelet(bounds[j], bounds[j + 1], **tags) for j in range(forward, lines - 1)])
+        out.backward.append(
+            [draft.lanelet(bounds[j], bounds[j + 1], **tags) for j in range(forward, lines - 1)]
+        )
         x += length
     return out
 
@@ -132,7 +147,9 @@ def roads_of(tags: list[dict[str, str]]) -> PlacedRoads:
 def matches_of(rows: list[tuple[int, float, float, int, int]], **columns: list[object]) -> Matches:
     """Matches (lanelet id, from, to, way id, direction); `decision` and `confidence` may be given."""
     n = len(rows)
-    ids, start, end, way, direction = (list(c) for c in zip(*rows, strict=True)) if rows else ([], [], [], [], [])
+    ids, start, end, way, direction = (
+        (list(c) for c in zip(*rows, strict=True)) if rows else ([], [], [], [], [])
+    )
     ones, nan = np.ones(n), np.full(n, np.nan)
     return Matches(
         lanelet_id=np.array(ids, dtype=np.int64),
@@ -168,7 +185,9 @@ def along_x(lanelet_map: LaneletMap, stops: list[float], reach: tuple[float, flo
             low = max(min(a, b), edges[w], reach[0])
             high = min(max(a, b), edges[w + 1], reach[1])
             if high > low:
-                s = sorted(((low - a) / (b - a) * abs(b - a) * scale, (high - a) / (b - a) * abs(b - a) * scale))
+                s = sorted(
+                    ((low - a) / (b - a) * abs(b - a) * scale, (high - a) / (b - a) * abs(b - a) * scale)
+                )
                 rows.append((int(lanelets.id[k]), s[0], s[1], (w + 1) * 100, 1 if b > a else -1))
     return matches_of(rows)
 
@@ -202,5 +221,8 @@ def rows(enriched: Enriched, **wanted: object) -> list[dict[str, object]]:
     """Rows of the table of transfers with these values."""
     table = enriched.transfers
     names = list(type(table).__slots__)
-    every = (dict(zip(names, r, strict=True)) for r in zip(*(getattr(table, n).tolist() for n in names), strict=True))
+    every = (
+        dict(zip(names, r, strict=True))
+        for r in zip(*(getattr(table, n).tolist() for n in names), strict=True)
+    )
     return [r for r in every if all(r[k] == v for k, v in wanted.items())]

@@ -1,0 +1,66 @@
+"""Monotone association of two tracks by dynamic programming (Viterbi)."""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+Bools = NDArray[np.bool_]
+
+POSITION_M, HEADING_RAD, UNSEEN_COST = 3.0, 0.3, 2.0
+"""Where the robust costs of position and heading bend, and what a place costs that no fix vouches for."""
+
+STEP_M, STEP_SHARE = 0.5, 0.05
+"""How far the advance along both tracks may differ before it costs: metres, and share of the step."""
+
+
+def associate(points: Floats, heading: Floats, line: Floats, line_heading: Floats, seen: Bools) -> Ints:
+    """(n,) for every point the sample of the line it belongs to, never going back.
+
+    points : (n, 2) metres, nearly in the line's frame; heading : (n,) radians, direction of travel
+    line : (m, 2) samples spaced evenly along the way; line_heading : (m,); seen : (m,) False on chords over gaps
+    Costs are logarithmic in the squared misfit (Cauchy), so that no outlier decides the path.
+    """
+    step = np.concatenate([[0.0], np.hypot(*np.diff(points, axis=0).T)])
+    spacing = float(np.median(np.hypot(*np.diff(line, axis=0).T)))
+    reach = int(np.ceil(3.0 * float(np.quantile(step, 0.99)) / spacing)) + 4
+    return _associate(points, heading, step, line, line_heading, seen, spacing, reach)
+
+
+@njit(cache=True, nogil=True)
+def _associate(points, heading, step, line, line_heading, seen, spacing, reach):  # type: ignore[no-untyped-def]  # pragma: no cover
+    n, m = len(points), len(line)
+    back = np.zeros((n, m), np.int16)
+    cost = np.zeros(m)
+    new = np.empty(m)
+    advance = np.empty(reach + 1)
+    for i in range(n):
+        for a in range(reach + 1):
+            off = (a * spacing - step[i]) / (STEP_M + STEP_SHARE * step[i])
+            advance[a] = np.log1p(off * off)
+        for j in range(m):
+            best, which = np.inf, 0
+            if i == 0:
+                best = 0.0
+            else:
+                for a in range(min(reach, j) + 1):
+                    c = cost[j - a] + advance[a]
+                    if c < best:
+                        best, which = c, a
+            here = UNSEEN_COST
+            if seen[j]:
+                dx, dy = points[i, 0] - line[j, 0], points[i, 1] - line[j, 1]
+                turn = np.sin((heading[i] - line_heading[j]) / 2) * 2 / HEADING_RAD
+                here = np.log1p((dx * dx + dy * dy) / (POSITION_M * POSITION_M)) + np.log1p(turn * turn)
+            new[j] = best + here
+            back[i, j] = which
+        for j in range(m):
+            cost[j] = new[j]
+    out = np.empty(n, np.int64)
+    out[n - 1] = np.argmin(cost)
+    for i in range(n - 1, 0, -1):
+        out[i - 1] = out[i] - back[i, out[i]]
+    return out
