@@ -289,6 +289,10 @@ class TransferParams(Params):
     split_snap_m: NonNegative = Field(1.0, description="cut at an existing vertex when one is this near")
     split_stretch_m: NonNegative = Field(5.0, description="a value that holds for less is not worth a cut")
     split_gap_m: Positive = Field(20.0, description="an unmatched end longer than this is cut off")
+    split_junctions: bool = Field(
+        False, description="also cut lanelets that fork, merge or turn; else the longer part decides for the whole"
+    )
+    split_junction_max_m: Positive = Field(50.0, description="a longer lanelet is no mere way through a junction")
     split_everywhere: bool = Field(
         False, description="also cut carriageways with lanelets that are closed to cars or driven both ways"
     )

@@ -6,6 +6,7 @@ Prefect's own caching stays off: its keys miss edited helpers and its result fil
 
 from __future__ import annotations
 
+from dataclasses import dataclass, field
 from typing import Any
 
 from prefect import Task, task
@@ -13,60 +14,70 @@ from prefect.cache_policies import NO_CACHE
 from prefect.client.schemas.objects import State, TaskRun
 from prefect.futures import PrefectFuture
 from prefect.logging import get_run_logger
-from prefect.states import Completed
+from prefect.states import Completed, Failed
 
-from flexmap_tasks.engine.execute import Engine, Outcome
+from flexmap_tasks.engine.execute import Engine, Outcome, Progress
 from flexmap_tasks.engine.graph import Graph, Node
+from flexmap_tasks.errors import FlexMapError
 from flexmap_tasks.formats.osm_fetch import OsmServerError
+from flexmap_tasks.store.store import CorruptBlobError
 
 OUTSIDE_RETRIES = 3
 OUTSIDE_RETRY_DELAYS_S = [2.0, 10.0, 30.0]
 
 
-def submit_stages(
-    engine: Engine, graph: Graph, map_name: str, outcomes: dict[str, Outcome]
-) -> list[PrefectFuture[Any]]:
-    """Submit every stage; each waits for those it needs, independent ones run at the same time.
+@dataclass(slots=True)
+class StageRuns:
+    """One walk over a graph: what its stages made, and the errors of those that failed by themselves."""
 
-    `outcomes` fills up as stages end.
-    """
-    futures: dict[str, PrefectFuture[Any]] = {}
-    for node in graph:
-        upstream = [futures[name] for name in dict.fromkeys(node.upstream())]
-        futures[node.name] = stage_task(engine, node, map_name, outcomes).submit(
-            return_state=False, wait_for=upstream
+    engine: Engine
+    graph: Graph
+    map_name: str
+    outcomes: dict[str, Outcome] = field(default_factory=dict)
+    errors: dict[str, Exception] = field(default_factory=dict)
+
+    def submit(self) -> list[PrefectFuture[Any]]:
+        """Submit every stage; each waits for those it needs, independent ones run at the same time."""
+        futures: dict[str, PrefectFuture[Any]] = {}
+        for node in self.graph:
+            upstream = [futures[name] for name in dict.fromkeys(node.upstream())]
+            futures[node.name] = self._task(node).submit(return_state=False, wait_for=upstream)
+        return list(futures.values())
+
+    def run_stage(self, node: Node) -> State[Any]:
+        """The stage's state: `Cached` when the store has the result, `Completed` when it ran."""
+        self.errors.pop(node.name, None)
+        artifacts = {name: outcome.artifact for name, outcome in self.outcomes.items()}
+        try:
+            bound = {name: self.engine.bind(ref, artifacts) for name, ref in node.inputs.items()}
+            outcome = self.engine.run(node, bound, _log_items(node))
+        except (FlexMapError, CorruptBlobError) as error:
+            self.errors[node.name] = error
+            if isinstance(error, OsmServerError):
+                raise  # Prefect retries what is raised
+            return Failed(message=str(error), data=error)  # one clear line in the log, no traceback
+        except Exception as error:
+            self.errors[node.name] = error
+            raise
+        self.outcomes[node.name] = outcome
+        return Completed(
+            name="Cached" if outcome.cached else "Completed", message=describe(outcome), data=outcome.key
         )
-    return list(futures.values())
 
+    def _task(self, node: Node) -> Task[[], State[Any]]:
+        def run() -> State[Any]:
+            return self.run_stage(node)
 
-def stage_task(
-    engine: Engine, node: Node, map_name: str, outcomes: dict[str, Outcome]
-) -> Task[[], State[Any]]:
-    """The Prefect task of one stage: `Cached` when the store has the result, `Completed` when it ran."""
-
-    def run_stage() -> State[Any]:
-        artifacts = {name: outcome.artifact for name, outcome in outcomes.items()}
-        bound = {name: engine.bind(ref, artifacts) for name, ref in node.inputs.items()}
-        outcome = engine.run(node, bound, _log_items(node))
-        outcomes[node.name] = outcome
-        state_name = "Cached" if outcome.cached else "Completed"
-        return Completed(name=state_name, message=describe(outcome), data=outcome.key)
-
-    return task(
-        name=node.name,
-        task_run_name=f"{map_name}: {node.name.replace('_', ' ')}",
-        description=(node.stage.function.__doc__ or "").strip().split("\n")[0],
-        cache_policy=NO_CACHE,
-        persist_result=False,
-        retries=OUTSIDE_RETRIES if node.stage.outside else 0,
-        retry_delay_seconds=OUTSIDE_RETRY_DELAYS_S,
-        retry_condition_fn=_worth_a_retry,
-    )(run_stage)
-
-
-def _worth_a_retry(_task: Task[Any, Any], _run: TaskRun, state: State[Any]) -> bool:
-    """A busy or failing server may recover; a wrong input never does."""
-    return isinstance(state.result(raise_on_failure=False), OsmServerError)
+        return task(
+            name=node.name,
+            task_run_name=f"{self.map_name}: {node.name.replace('_', ' ')}",
+            description=(node.stage.function.__doc__ or "").strip().split("\n")[0],
+            cache_policy=NO_CACHE,
+            persist_result=False,
+            retries=OUTSIDE_RETRIES if node.stage.outside else 0,
+            retry_delay_seconds=OUTSIDE_RETRY_DELAYS_S,
+            retry_condition_fn=_worth_a_retry,
+        )(run)
 
 
 def describe(outcome: Outcome) -> str:
@@ -77,7 +88,12 @@ def describe(outcome: Outcome) -> str:
     return f"computed in {outcome.seconds:.2f} s{items}: action {outcome.key[:12]}"
 
 
-def _log_items(node: Node) -> Any:
+def _worth_a_retry(_task: Task[Any, Any], _run: TaskRun, state: State[Any]) -> bool:
+    """A busy or failing server may recover; a wrong input never does."""
+    return isinstance(state.data, OsmServerError) or "OsmServerError" in (state.message or "")
+
+
+def _log_items(node: Node) -> Progress:
     logger = get_run_logger()
 
     def progress(done: int, total: int) -> None:

@@ -7,6 +7,7 @@ import os
 import time
 from collections.abc import Iterable
 from pathlib import Path
+from typing import Any, cast
 
 from flexmap_tasks.config import FlexMapConfig
 from flexmap_tasks.engine.execute import Engine, Outcome
@@ -31,7 +32,6 @@ PREFECT_SETTINGS = {
     "PREFECT_SERVER_EPHEMERAL_STARTUP_TIMEOUT_SECONDS": "120",  # a cold server needs 10 to 35 s
     "PREFECT_SERVER_ANALYTICS_ENABLED": "false",
     "DO_NOT_TRACK": "1",
-    "PREFECT_LOGGING_LEVEL": "WARNING",  # the command shows its own progress
 }
 
 
@@ -129,4 +129,9 @@ def _run_prefect(config: FlexMapConfig, store: Path, plan_: Plan) -> Release:
     console.say(f"{config.map}: {waiting} of {len(plan_.steps)} stages may run; starting Prefect")
     from flows.map_update import map_update as flow  # noqa: PLC0415 - importing Prefect takes seconds
 
-    return asyncio.run(flow(config, str(store.resolve())))
+    flow_run: Any = flow(config, str(store.resolve()), return_state=True)
+    state = asyncio.run(flow_run)
+    result = state.result(raise_on_failure=False)
+    if isinstance(result, BaseException):
+        raise result
+    return cast("Release", result)

@@ -36,7 +36,7 @@ def road_segments(roads: PlacedRoads, segment_length_m: float) -> RoadSegments:
     OpenStreetMap node share the node here.
     """
     network = roads.network
-    offset, vertex = _usable(roads)
+    offset, vertex = usable_vertices(roads)
     xy_m = roads.xy_m[vertex]
     segments = cut(offset, xy_m, segment_length_m)
     number = np.unique(network.node_id[vertex], return_inverse=True)[1]
@@ -62,7 +62,7 @@ def road_segments(roads: PlacedRoads, segment_length_m: float) -> RoadSegments:
     return RoadSegments(chosen, ends[: len(rows)], ends[len(rows) :], node_xy_m)
 
 
-def _usable(roads: PlacedRoads) -> tuple[Ints, Ints]:
+def usable_vertices(roads: PlacedRoads) -> tuple[Ints, Ints]:
     """Vertices that shape ways: finite, of no area, and no mere points on a straight: (offset, vertices)."""
     network = roads.network
     owner = np.repeat(np.arange(len(network)), np.diff(network.offset))

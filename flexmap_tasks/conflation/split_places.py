@@ -121,7 +121,9 @@ class _Planner:
         self.lines: dict[int, Line] = {}
 
     def cut_group(self, members: list[int], wanted: list[Wanted]) -> None:
-        """Add the cuts of one carriageway to the plan."""
+        """Add the cuts of one carriageway to the plan; ways through a junction stay whole without a word."""
+        if not self.params.split_junctions and self._in_junction(members):
+            return
         group = self._oriented(members)
         problem = "the bounds run in contradicting directions" if group is None else self._problem(group)
         if group is None or problem:
@@ -137,6 +139,11 @@ class _Planner:
                 accepted = trial
         if accepted:
             self._accept(group, accepted)
+
+    def _in_junction(self, members: list[int]) -> bool:
+        rows = np.array(members, dtype=np.int64)
+        short = self.facts.length_m[rows] <= self.params.split_junction_max_m
+        return bool(np.any(self.facts.forks[rows] & short))
 
     def _oriented(self, members: list[int]) -> _Group | None:
         """Direction of every lanelet and way against the first lanelet; None when they contradict."""

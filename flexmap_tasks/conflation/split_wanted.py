@@ -12,6 +12,9 @@ from flexmap_tasks.conflation.transfer_table import LaneletFacts, Rows
 from flexmap_tasks.model.arrays import Ints
 
 
+AS_IT_IS = "(as it is)"
+
+
 @dataclass(frozen=True, slots=True)
 class Wanted:
     """A change of values along a lanelet: at `s_m`, told by row `row` of the matches used, with a reason."""
@@ -25,7 +28,10 @@ class Wanted:
 def wanted_cuts(
     rows: Rows, landing: Ints, texts: list[list[str]], facts: LaneletFacts, params: TransferParams
 ) -> list[Wanted]:
-    """Changes along each lanelet; `landing` (n, r) codes what each row would write, 0 nothing; texts name them."""
+    """Changes along each lanelet; `landing` (n, r) codes what each row would write, 0 nothing.
+
+    texts : per column the attribute, then the values by code
+    """
     if not len(rows):
         return []
     _, signature = np.unique(landing, axis=0, return_inverse=True)
@@ -86,7 +92,7 @@ def _without_short(runs: list[_Run], least_m: float) -> list[_Run]:
 def _change(a: tuple[int, ...], b: tuple[int, ...], texts: list[list[str]]) -> str:
     """Which values change, in words."""
     parts = [
-        f"{texts[j][0]} {texts[j][x]} | {texts[j][y]}"
+        f"{texts[j][0]} {texts[j][x + 1] or AS_IT_IS} | {texts[j][y + 1] or AS_IT_IS}"
         for j, (x, y) in enumerate(zip(a, b, strict=True))
         if x != y
     ]

@@ -18,7 +18,7 @@ from flexmap_tasks.conflation.osm_values import (
 )
 from flexmap_tasks.model.arrays import Bools, Floats, Ints
 from flexmap_tasks.model.conflation import Matches
-from flexmap_tasks.model.lanelets import Polylines, centrelines, lanelets_of, lengths_m
+from flexmap_tasks.model.lanelets import Polylines, centrelines, end_nodes, lanelets_of, lengths_m
 from flexmap_tasks.model.maps import LaneletMap, Lanelets, PlacedRoads
 from flexmap_tasks.model.osm import OsmDocument, Tags, rows_of
 
@@ -42,7 +42,7 @@ class Decision:
 class LaneletFacts:
     """What transfer needs to know of every lanelet, by row of `lanelets`.
 
-    open_to_cars : (k,) bool
+    open_to_cars : (k,) bool; forks : (k,) bool, it turns, or begins or ends together with another lanelet
     centreline : (k,) lines; length_m : (k,) float64, their lengths in the plane
     drawn_way : (k,) int64 row of the way that is its member `centerline`, -1 for none, -2 where several share
     one; drawn_inverted : (k,) bool, it runs against the lanelet
@@ -51,6 +51,7 @@ class LaneletFacts:
 
     lanelets: Lanelets
     open_to_cars: Bools
+    forks: Bools
     centreline: Polylines
     length_m: Floats
     drawn_way: Ints
@@ -114,7 +115,17 @@ def facts_of(lanelet_map: LaneletMap) -> LaneletFacts:
     lines = centrelines(lanelet_map, lanelets)
     drawn = _drawn_centrelines(lanelet_map.document, lanelets)
     inverted = _against(lanelet_map, drawn, lines)
-    return LaneletFacts(lanelets, open_to_cars, lines, lengths_m(lines), drawn, inverted, tags)
+    forks = _forks(end_nodes(lanelet_map, lanelets)) | (tags.column("turn_direction") != None)  # noqa: E711
+    return LaneletFacts(lanelets, open_to_cars, forks, lines, lengths_m(lines), drawn, inverted, tags)
+
+
+def _forks(ends: Ints) -> Bools:
+    """(k,) bool: another lanelet has the same two nodes at its start, or at its end."""
+    out = np.zeros(len(ends), dtype=bool)
+    for pair in (ends[:, :2], ends[:, 2:]):
+        _, inverse, times = np.unique(pair, axis=0, return_inverse=True, return_counts=True)
+        out |= times[inverse.ravel()] > 1
+    return out
 
 
 def _drawn_centrelines(document: OsmDocument, lanelets: Lanelets) -> Ints:

@@ -15,6 +15,10 @@ from flexmap_tasks.model.conflation import Transfers
 from flexmap_tasks.model.maps import PlacedRoads
 
 
+WHOLE_PERCENT = 90
+"""A value that holds for this share of a lanelet holds for the lanelet; below, the reason tells the share."""
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Shares:
     """Parts of matched rows on lanelets after cutting: (m,) row of `Rows`, row of `Pieces`, metres."""
@@ -120,8 +124,11 @@ def _of_rule(
     action[thin] = "review"
     share = np.rint(100 * won.length_m / np.maximum(length, 1e-9)).astype(np.int64)
     reason[thin] = strings(f"holds for {s} % of the lanelet only" for s in share[thin].tolist())
+    plain = (action == "set") & (reason == "")
     key = params.rules[i].key
-    reason[(action == "set") & (reason == "")] = f"from {key}"
+    reason[plain] = strings(
+        f"from {key}" if s >= WHOLE_PERCENT else f"from {key}, holds for {s} %" for s in share[plain].tolist()
+    )
     said = np.flatnonzero(action != "")
     settled: Strings = np.full(len(j.pieces), None, dtype=object)
     done = np.isin(action.astype(str), ("set", "keep"))

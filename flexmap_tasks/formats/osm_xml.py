@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flexmap_tasks.errors import InputError
+from flexmap_tasks.formats import osm_xml_kernel as kernel
 from flexmap_tasks.formats import osm_xml_scan as scanner
 from flexmap_tasks.formats.osm_xml_dom import canonical_xml, parse_dom
 from flexmap_tasks.formats.osm_xml_rules import lonlat_deg
@@ -80,7 +81,7 @@ def _parse_plain(data: bytes, name: str) -> OsmDocument | None:
     if found is None:
         return None
     texts = _texts(data, found.text)
-    other = np.flatnonzero(found.element[:, 0] == scanner.OTHER)
+    other = np.flatnonzero(found.element[:, 0] == kernel.OTHER)
     others = [canonical_xml(data[a:b]) for a, b in found.element[other, 5:].tolist()]
     if texts is None or None in others:
         return None
@@ -139,9 +140,7 @@ def _resolve(text: str) -> str | None:
 
 def _assemble(found: scanner.Scan, texts: Strings, other: Ints, others: Strings, name: str) -> OsmDocument:
     kind, ids, attribute_end, tag_end, item_end = found.element[:, :5].T.copy()
-    nodes, ways, relations = (
-        np.flatnonzero(kind == k) for k in (scanner.NODE, scanner.WAY, scanner.RELATION)
-    )
+    nodes, ways, relations = (np.flatnonzero(kind == k) for k in (kernel.NODE, kernel.WAY, kernel.RELATION))
     attributes = [_tags(attribute_end, found.attribute, rows, texts) for rows in (nodes, ways, relations)]
     tags = [_tags(tag_end, found.tag, rows, texts) for rows in (nodes, ways, relations)]
     way_offset, way_items = _share(item_end, ways)

@@ -313,3 +313,25 @@ def test_a_coordinate_beyond_float32_is_not_written() -> None:
 def test_fields_with_names_made_of_axes_keep_their_type() -> None:
     content = pcd_bytes(PointCloud(np.zeros((1, 3)), {"xy": np.array([3], "u1"), "z_err": np.zeros((1, 2))}))
     assert b"FIELDS x y z xy z_err\nSIZE 4 4 4 1 8\nTYPE F F F U F\nCOUNT 1 1 1 1 2\n" in content
+
+
+@settings(max_examples=400, deadline=None)
+@given(
+    st.sampled_from(ENCODINGS),
+    st.lists(
+        st.tuples(st.integers(0, 400), st.integers(0, 3), st.binary(max_size=6)), min_size=1, max_size=4
+    ),
+)
+def test_a_damaged_file_is_read_or_refused_but_nothing_else(
+    encoding: str, edits: list[tuple[int, int, bytes]]
+) -> None:
+    content = bytearray(pcd(POINT, encoding))
+    for at, removed, added in edits:
+        content[at : at + removed] = added
+    with tempfile.TemporaryDirectory() as folder:
+        try:
+            cloud = read_pcd(source(Path(folder), bytes(content)))
+            outcome = "" if cloud.xyz_m.shape == (len(cloud), 3) else "a wrong shape\n"
+        except InputError as error:
+            outcome = str(error)
+    assert "\n" not in outcome
