@@ -203,6 +203,27 @@ class CollapseParams(Params):
     connect_distance_m: Positive = Field(1.0, description="ends nearer than this become one point")
 
 
+class PathParams(Params):
+    """Matching of all lanelet paths as paths on the road graph, at once."""
+
+    spacing_m: Positive = Field(5.0, description="distance between samples along the lanelets")
+    radius_m: Positive = Field(20.0, description="roads further away than this are no candidates")
+    candidates: Annotated[int, Field(ge=1, le=30)] = Field(8, description="candidates per sample")
+    correlation_m: Positive = Field(
+        20.0, description="roads are displaced as a whole: samples nearer than this say the same thing"
+    )
+    sigma_start_m: Positive = Field(4.0, description="scatter of roads before it is estimated")
+    angle_sigma_deg: Positive = 12.0
+    absent_cost: NonNegative = Field(4.0, description="misfit of a sample at which no counterpart is as likely")
+    gap_cost: NonNegative = Field(3.0, description="misfit for a change between a road and no counterpart")
+    jump_cost: NonNegative = Field(5.0, description="misfit for a change to a road that is not connected")
+    detour_m: Positive = Field(4.0, description="metres of detour per unit of misfit")
+    wrong_way_cost: NonNegative = Field(4.0, description="misfit for driving against a one-way road")
+    minor_cost: NonNegative = Field(0.5, description="misfit for service roads for few, and private roads")
+    rounds: Annotated[int, Field(ge=1, le=10)] = Field(3, description="estimates of displacement and scatter")
+    review_confidence: Share = Field(0.8, description="a less certain match goes to review")
+
+
 class MatchParams(Params):
     """Buffer growing (Zhang and Meng 2005); defaults of the original."""
 

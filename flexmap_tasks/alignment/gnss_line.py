@@ -6,7 +6,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from flexmap_tasks.geometry.polyline import arc_length_m
+from flexmap_tasks.geometry.breaks import SHORT_RUN_M
+from flexmap_tasks.geometry.polyline import arc_length_m, steps_m
 from flexmap_tasks.geometry.se2 import wrapped
 from flexmap_tasks.model.arrays import Bools, Floats, Ints, Strings, strings
 from flexmap_tasks.model.tracks import STATUS_NONE, GnssTrack
@@ -65,6 +66,7 @@ def driven_line(gnss: GnssTrack, excluded: Bools | None = None) -> tuple[GnssLin
     kept = index[_thinned(gnss.xyz_m[index, :2], gaps[index])]
     reason[np.setdiff1d(index, kept)] = "standstill or nearer than the spacing"
     kept = _without_scatter(gnss, kept, gaps, reason)
+    kept = _without_short_runs(gnss, kept, gaps, reason)
     xy_m = gnss.xyz_m[kept, :2]
     seen = np.concatenate([[False], np.diff(gaps[kept]) == 0])
     return GnssLine(kept, xy_m, arc_length_m(xy_m), seen), reason
@@ -105,3 +107,14 @@ def _without_scatter(gnss: GnssTrack, kept: Ints, gaps: Ints, reason: Strings) -
         reason[kept[bad]] = "scatter: turns faster than a car"
         kept = np.delete(kept, bad)
     return kept
+
+
+def _without_short_runs(gnss: GnssTrack, kept: Ints, gaps: Ints, reason: Strings) -> Ints:
+    """What is left between two gaps and leads nowhere is scatter around them."""
+    _, run = np.unique(gaps[kept], return_inverse=True)
+    step = steps_m(gnss.xyz_m[kept, :2])
+    length = np.bincount(run, np.concatenate([[0.0], np.where(np.diff(run) == 0, step, 0.0)]))
+    short = length < SHORT_RUN_M
+    short[[0, -1]] = False
+    reason[kept[short[run]]] = "short run between two jumps or outages"
+    return kept[~short[run]]

@@ -176,7 +176,11 @@ def _findings(j: Judged, against: Bools, check: LaneCheck, params: TransferParam
     """Lanelets against one-way roads, and OSM values nobody could read."""
     found: set[tuple[str, str, str, int, str]] = set()
     network = j.roads.network
-    for k, road in {(int(j.rows.lanelet[i]), int(j.rows.road[i])) for i in np.flatnonzero(against)}:
+    turned = np.bincount(
+        j.rows.lanelet[against], (j.rows.s_to_m - j.rows.s_from_m)[against], len(j.facts.lanelets)
+    )
+    named = against & (turned >= params.coverage_min * j.facts.length_m)[j.rows.lanelet]
+    for k, road in {(int(j.rows.lanelet[i]), int(j.rows.road[i])) for i in np.flatnonzero(named)}:
         text = f"runs against the one-way road {network.way_id[road]}; nothing was taken from it"
         found.add(("wrong-way-lanelet", "warning", "lanelet", int(j.facts.lanelets.id[k]), text))
     for i, rule in enumerate(params.rules):

@@ -16,7 +16,7 @@ from flexmap_tasks.conflation.osm_values import (
     one_way_sense,
     same_value,
 )
-from flexmap_tasks.model.arrays import Bools, Floats, Ints
+from flexmap_tasks.model.arrays import Bools, Floats, Ints, Strings
 from flexmap_tasks.model.conflation import Matches
 from flexmap_tasks.model.lanelets import Polylines, centrelines, end_nodes, lanelets_of, lengths_m
 from flexmap_tasks.model.maps import LaneletMap, Lanelets, PlacedRoads
@@ -46,6 +46,8 @@ class LaneletFacts:
     centreline : (k,) lines; length_m : (k,) float64, their lengths in the plane
     drawn_way : (k,) int64 row of the way that is its member `centerline`, -1 for none, -2 where several share
     one; drawn_inverted : (k,) bool, it runs against the lanelet
+    speed_rule : (k,) str, what a speed limit rule (regulatory element) says of it in km/h, "?" where it cannot be
+    read, "" without a rule; Lanelet2 then ignores the tag
     tags : of the lanelets, in the same rows
     """
 
@@ -56,6 +58,7 @@ class LaneletFacts:
     length_m: Floats
     drawn_way: Ints
     drawn_inverted: Bools
+    speed_rule: Strings
     tags: Tags
 
 
@@ -116,7 +119,8 @@ def facts_of(lanelet_map: LaneletMap) -> LaneletFacts:
     drawn = _drawn_centrelines(lanelet_map.document, lanelets)
     inverted = _against(lanelet_map, drawn, lines)
     forks = _forks(end_nodes(lanelet_map, lanelets)) | (tags.column("turn_direction") != None)  # noqa: E711
-    return LaneletFacts(lanelets, open_to_cars, forks, lines, lengths_m(lines), drawn, inverted, tags)
+    rules = speed_rules(lanelet_map.document, lanelets)
+    return LaneletFacts(lanelets, open_to_cars, forks, lines, lengths_m(lines), drawn, inverted, rules, tags)
 
 
 def _forks(ends: Ints) -> Bools:
@@ -125,6 +129,27 @@ def _forks(ends: Ints) -> Bools:
     for pair in (ends[:, :2], ends[:, 2:]):
         _, inverse, times = np.unique(pair, axis=0, return_inverse=True, return_counts=True)
         out |= times[inverse.ravel()] > 1
+    return out
+
+
+def speed_rules(document: OsmDocument, lanelets: Lanelets) -> Strings:
+    """(k,) str: see `LaneletFacts.speed_rule`."""
+    relations = document.relations
+    limit = (relations.tags.column("type") == "regulatory_element") & (
+        relations.tags.column("subtype") == "speed_limit"
+    )
+    hit = np.flatnonzero(
+        (relations.member_role == "regulatory_element") & (relations.member_type == "relation")
+    )
+    rule = rows_of(relations.id, relations.member_ref[hit])
+    hit, rule = hit[rule >= 0], rule[rule >= 0]
+    hit, rule = hit[limit[rule]], rule[limit[rule]]
+    out: Strings = np.full(len(lanelets), "", dtype=object)
+    lanelet = rows_of(lanelets.relation_row, np.searchsorted(relations.offset, hit, side="right") - 1)
+    for k, r in zip(lanelet.tolist(), rule.tolist(), strict=True):
+        sign = relations.tags.of_element(r).get("sign_type", "")
+        speed = speed_kmh(sign.removeprefix("de274-"), {})
+        out[k] = "?" if speed is None or not 0 < speed < 1000 or out[k] else format_kmh(speed)
     return out
 
 
@@ -214,16 +239,24 @@ def offers_of(rows: Rows, roads: PlacedRoads, params: TransferParams) -> Offers:
     return Offers(code[inverse.ravel()], note[inverse.ravel()], tuple(values), tuple(notes))
 
 
+@dataclass(frozen=True, slots=True)
+class Case:
+    """A lanelet as a decision sees it: its tags, whether cars may use it, what a speed limit rule says of it."""
+
+    tags: Mapping[str, str]
+    open_to_cars: bool = True
+    speed_rule: str = ""
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Contexts:
     """The lanelets sorted by all that a decision looks at.
 
-    code : (k,) int64 into `tags` and `open_to_cars`
+    code : (k,) int64 into `lanelets`
     """
 
     code: Ints
-    tags: tuple[dict[str, str], ...]
-    open_to_cars: tuple[bool, ...]
+    lanelets: tuple[Case, ...]
 
 
 def contexts_of(facts: LaneletFacts, params: TransferParams) -> Contexts:
@@ -231,10 +264,17 @@ def contexts_of(facts: LaneletFacts, params: TransferParams) -> Contexts:
     keys = sorted({rule.target for rule in params.rules} | {"subtype"})
     columns = [facts.tags.column(key) for key in keys]
     codes: dict[tuple[object, ...], int] = {}
-    rows = zip(facts.open_to_cars.tolist(), *columns, strict=True)
+    rows = zip(facts.open_to_cars.tolist(), facts.speed_rule.tolist(), *columns, strict=True)
     code = np.fromiter((codes.setdefault(row, len(codes)) for row in rows), np.int64, len(facts.lanelets))
-    tags = [{k: str(v) for k, v in zip(keys, row[1:], strict=True) if v is not None} for row in codes]
-    return Contexts(code, tuple(tags), tuple(bool(row[0]) for row in codes))
+    lanelets = [
+        Case(
+            {k: str(v) for k, v in zip(keys, row[2:], strict=True) if v is not None},
+            bool(row[0]),
+            str(row[1]),
+        )
+        for row in codes
+    ]
+    return Contexts(code, tuple(lanelets))
 
 
 def decisions(
@@ -247,30 +287,29 @@ def decisions(
     pairs, inverse = np.unique(np.stack([contexts.code[lanelet], code], axis=1), axis=0, return_inverse=True)
     known: dict[Decision, int] = {Decision(""): 0}
     at = [
-        known.setdefault(
-            decide(rule, offers.values[offered], contexts.tags[context], contexts.open_to_cars[context]),
-            len(known),
-        )
+        known.setdefault(decide(rule, offers.values[offered], contexts.lanelets[context]), len(known))
         for context, offered in pairs.tolist()
     ]
     return np.array(at, dtype=np.int64)[inverse.ravel()], list(known)
 
 
-def decide(rule: TransferRule, offered: Offer, lanelet: Mapping[str, str], open_to_cars: bool) -> Decision:
-    """What becomes of an offer on a lanelet with these tags; values the author chose knowingly stay."""
-    old, subtype = lanelet.get(rule.target, ""), lanelet.get("subtype", "")
-    if not (open_to_cars or subtype == "bus_lane") or not offered.value:
+def decide(rule: TransferRule, offered: Offer, lanelet: Case) -> Decision:
+    """What becomes of an offer on a lanelet; values the author chose knowingly stay."""
+    old = lanelet.tags.get(rule.target, "")
+    ruled = lanelet.speed_rule if rule.target == "speed_limit" else ""
+    driven = lanelet.open_to_cars or lanelet.tags.get("subtype") == "bus_lane"
+    if not driven or not offered.value or (offered.weak and old):
         return Decision("")
     if offered.problem:
         return Decision("review", offered.value, f"{rule.key}: {offered.problem}")
-    if same_value(rule, old, offered.value):
+    if same_value(rule, ruled or old, offered.value):
         return Decision("keep", offered.value, "the map says the same")
-    if offered.weak:
-        return (
-            Decision("") if old else Decision("set", offered.value, "an assumption where the map is silent")
+    if ruled:
+        return Decision(
+            "review", offered.value, f"a speed limit rule of the map says {ruled}, a tag has no effect"
         )
     action, reason = _held(rule, old, offered.value)
-    return Decision(action, offered.value, reason)
+    return Decision(action, offered.value, reason or ("an assumption" if offered.weak else ""))
 
 
 def _held(rule: TransferRule, old: str, new: str) -> tuple[str, str]:

@@ -14,7 +14,7 @@ from flexmap_tasks.engine.fingerprint import code_modules
 from flexmap_tasks.engine.stage import AnyStage
 from flexmap_tasks.store.artifact import canonical_json, digest_of
 
-LIBRARIES = ("numpy", "scipy", "pyproj", "shapely", "numba", "pyarrow", "lxml", "osmium", "mcap")
+LIBRARIES = ("numpy", "scipy", "pyproj", "shapely", "numba", "pyarrow", "lxml", "osmium", "mcap", "PyYAML")
 """Libraries that can change the numbers or the bytes of a result."""
 
 CODECS = ("flexmap_tasks.formats.artifacts", "flexmap_tasks.formats.columns")

@@ -8,6 +8,7 @@ A `Source` reads back as the file itself.
 from __future__ import annotations
 
 import dataclasses
+import functools
 import json
 import types
 import typing
@@ -128,6 +129,7 @@ class _Shape:
         return not self.nested and not ((self.columns or self.field_dict) and self.scalars)
 
 
+@functools.cache
 def _shape(kind: Any) -> _Shape:
     hints = {f.name: typing.get_type_hints(kind)[f.name] for f in dataclasses.fields(kind)}
     if getattr(kind, "as_json", False):

@@ -53,7 +53,7 @@ def parse_osm_xml(data: bytes, name: str, *, lossless: bool = True) -> OsmDocume
     Raises InputError for anything that is no OSM XML, for a document type (nothing is expanded), ids that
     are no numbers, and lat or lon out of range.
     """
-    if not data.strip():
+    if not data or data.isspace():
         raise InputError(name, "the file is empty")
     _refuse(data, name)
     document = _parse_plain(data, name)

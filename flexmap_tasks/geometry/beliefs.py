@@ -51,7 +51,7 @@ def _send(belief, a, na, b, nb, pair, at, by_row, old, old_at, back, back_at, wo
         top = max(top, total)
     highest = 0.0
     for j in range(nb):
-        message = max(work[j] / top, 1e-9)
+        message = max(work[j] / top, FLOOR)
         belief[b + j] *= message / old[old_at + j]
         old[old_at + j] = message
         highest = max(highest, belief[b + j])

@@ -142,9 +142,7 @@ class SpilledTiles(Mapping[str, PointCloud]):
             rows = keep(positions(records))
             if len(rows):
                 cells = np.array([tile_numbers(key)])
-                parts.append(
-                    _write(spill, _rows(records, rows), cells, np.array([0, len(rows)]))
-                )
+                parts.append(_write(spill, _rows(records, rows), cells, np.array([0, len(rows)])))
         return SpilledTiles(spill, _Runs.joined(parts))
 
 

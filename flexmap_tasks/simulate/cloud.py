@@ -42,7 +42,6 @@ class Surfaces:
     edge: Floats
     half_width: Floats
 
-
     @classmethod
     def of(cls, network: Network, roads: list[int]) -> Surfaces:
         """The surfaces beside the given roads."""
@@ -77,7 +76,11 @@ class Surfaces:
         )
         height = np.select(
             [surface == 0, surface == 1, surface == 2],
-            [np.where(off > half + 0.3, KERB_HEIGHT_M, 0.0), up * KERB_HEIGHT_M, up * (8.0 + 3.0 * np.cos(np.floor(s / 15.0)))],
+            [
+                np.where(off > half + 0.3, KERB_HEIGHT_M, 0.0),
+                up * KERB_HEIGHT_M,
+                up * (8.0 + 3.0 * np.cos(np.floor(s / 15.0))),
+            ],
             up * POLE_HEIGHT_M,
         )
         xyz[:, :2] += normal * (side * off)[:, None]

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
-from scipy.sparse import coo_matrix
+from scipy.sparse import csr_array
 from scipy.sparse.csgraph import connected_components, dijkstra
 
 from flexmap_tasks.errors import ConfigError
@@ -19,6 +19,8 @@ from flexmap_tasks.simulate.world import World
 STEP_M = 0.5
 SMOOTHING_M = 2.0
 START_STAND_S = 3.0
+FEATURE_PULL_M = 250.0
+"""How much nearer a bridge, a roundabout or an island seems to whoever plans the drive."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -80,18 +82,19 @@ def _route(world: World, lanes: LaneNetwork) -> list[int]:
     length = np.array([lines.along(lanes.centreline(s))[-1] for s in lanes.strips])
     heads = np.array([a for a, after in enumerate(lanes.followers) for _ in after], dtype=np.int64)
     tails = np.array([b for after in lanes.followers for b in after], dtype=np.int64)
-    graph = coo_matrix((length[tails] + 0.01, (heads, tails)), shape=(n, n)).tocsr()
+    graph = csr_array((length[tails] + 0.01, (heads, tails)), shape=(n, n))
     _, part = connected_components(graph, connection="strong")
     size = np.bincount(part, weights=length, minlength=n)
     home = part == int(np.argmax(size))
     fresh = home & np.array([s.kind == "lane" for s in lanes.strips])
     if not fresh.any() or not len(heads):
         raise ConfigError("world", "the roads have no loop that a drive could follow", "network")
+    bonus = np.array([FEATURE_PULL_M if lanes.network.roads[s.road].role else 0.0 for s in lanes.strips])
     here = int(rng.choice(np.flatnonzero(fresh)))
     route, driven = [here], float(length[here])
     fresh[here] = False
     while driven < world.drive.length_m + 5.0:
-        leg = _nearest(graph, here, fresh if fresh.any() else home & (np.arange(n) != here))
+        leg = _nearest(graph, here, fresh if fresh.any() else home & (np.arange(n) != here), bonus)
         route += leg
         driven += float(length[leg].sum())
         here = leg[-1]
@@ -99,20 +102,20 @@ def _route(world: World, lanes: LaneNetwork) -> list[int]:
     if world.drive.return_to_start:
         target = np.zeros(n, dtype=bool)
         target[route[0]] = True
-        route += _nearest(graph, here, target) if here != route[0] else []
+        route += _nearest(graph, here, target, bonus) if here != route[0] else []
     return route
 
 
-def _nearest(graph: object, here: int, wanted: Bools) -> list[int]:
-    """The way from `here` to the nearest wanted strip, without `here`."""
-    limit = 400.0
+def _nearest(graph: csr_array, here: int, wanted: Bools, bonus_m: Floats) -> list[int]:
+    """The way from `here` to the nearest wanted strip, without `here`; a bonus makes a strip seem nearer."""
+    limit = 2 * FEATURE_PULL_M
     while True:
         distance, before = dijkstra(graph, indices=here, return_predecessors=True, limit=limit)
         reached = np.flatnonzero(wanted & np.isfinite(distance) & (np.arange(len(distance)) != here))
         if len(reached) or limit > 1e9:
             break
         limit *= 8
-    leg = [int(reached[np.argmin(distance[reached])])]
+    leg = [int(reached[np.argmin((distance - bonus_m)[reached])])]
     while leg[-1] != here:
         leg.append(int(before[leg[-1]]))
     return leg[-2::-1]
@@ -128,7 +131,9 @@ def _timed(world: World, s: Floats, yaw: Floats) -> tuple[Floats, list[tuple[flo
     """Time at every step without standstills, and where (arc length) it stands for how long."""
     plan, rng = world.drive, stream(world.seed, "speed")
     curvature = np.abs(np.gradient(gaussian_filter1d(yaw, 4.0))) / np.maximum(np.gradient(s), 1e-6)
-    limit = np.minimum(plan.speed_max_m_s, np.sqrt(plan.lateral_acceleration_m_s2 / np.maximum(curvature, 1e-4)))
+    limit = np.minimum(
+        plan.speed_max_m_s, np.sqrt(plan.lateral_acceleration_m_s2 / np.maximum(curvature, 1e-4))
+    )
     total = float(s[-1])
     count = int(rng.poisson(plan.stops_per_km * total / 1000.0)) if plan.stops_per_km else 0
     places = np.sort(rng.uniform(20.0, max(21.0, total - 20.0), count))

@@ -15,6 +15,8 @@ from flexmap_tasks.simulate.layouts import street_name
 from flexmap_tasks.simulate.roads import Draft, Road
 from flexmap_tasks.simulate.world import NetworkSettings
 
+AISLE_EVERY_M = 17.0
+
 Feature = Callable[[Draft, int, np.random.Generator, NetworkSettings], None]
 
 
@@ -75,12 +77,12 @@ def _overpasses(draft: Draft, count: int, rng: np.random.Generator, _: NetworkSe
         arms.sort(key=lambda a: float(np.arctan2(*_direction_out(draft, a)[::-1])))
         if len({i for i, _ in arms}) < 4:
             continue
-        _join(draft, node, arms[0], arms[2], 0)
-        _join(draft, node, arms[1], arms[3], 1)
+        _join(draft, arms[0], arms[2], 0)
+        _join(draft, arms[1], arms[3], 1)
         count -= 1
 
 
-def _join(draft: Draft, node: int, a: tuple[int, bool], b: tuple[int, bool], level: int) -> None:
+def _join(draft: Draft, a: tuple[int, bool], b: tuple[int, bool], level: int) -> None:
     """One road out of two that met in a junction."""
     first, second = draft.get(a[0]), draft.get(b[0])
     head = first.xyz if a[1] else first.xyz[::-1]
@@ -88,15 +90,16 @@ def _join(draft: Draft, node: int, a: tuple[int, bool], b: tuple[int, bool], lev
     start = first.start if a[1] else first.end
     end = second.start if b[1] else second.end
     lanes = (first.forward, first.backward) if a[1] else (first.backward, first.forward)
-    draft.roads[a[0]] = draft.roads[b[0]] = None
+    draft.remove(a[0])
+    draft.remove(b[0])
     xy = np.vstack([head[:-1], tail])
     draft.road(
-        Road(start, end, _rounded(xy, node), first.highway, *lanes, first.lane_width_m, first.name,
-             first.maxspeed, first.surface, "overpass" if level else "", level=level)
+        Road(start, end, _rounded(xy), first.highway, *lanes, first.lane_width_m, first.name, first.maxspeed,
+             first.surface, "overpass" if level else "underpass", level=level)
     )  # fmt: skip
 
 
-def _rounded(xy: Floats, _: int) -> Floats:
+def _rounded(xy: Floats) -> Floats:
     """A line without the kink that a junction had."""
     fine = lines.resample(xy, 4.0)
     padded = np.vstack([np.repeat(fine[:1], 6, axis=0), fine, np.repeat(fine[-1:], 6, axis=0)])
@@ -113,7 +116,8 @@ def _roundabouts(draft: Draft, count: int, rng: np.random.Generator, _: NetworkS
             return
         arms = draft.arms(node)
         fits = all(
-            (r := draft.get(i)).role == "" and r.level == 0 and r.backward and r.length_m > 70 for i, _ in arms
+            (r := draft.get(i)).role == "" and r.level == 0 and r.backward and r.length_m > 70
+            for i, _ in arms
         )
         if len(arms) < 3 or not fits or len({i for i, _ in arms}) < len(arms) or _tightest(draft, arms) < 0.9:
             continue
@@ -142,14 +146,18 @@ def _ring(draft: Draft, node: int, arms: list[tuple[int, bool]], radius: float) 
         outward = road.xyz[::-1] if at_end else road.xyz
         outward = lines.resample(outward, 1.0)
         s = float(lines.along(outward)[int(np.argmax(np.hypot(*(outward - centre).T) >= radius))])
-        kept = lines.cut(road.xyz, 0.0, road.length_m - s) if at_end else lines.cut(road.xyz, s, road.length_m)
+        kept = (
+            lines.cut(road.xyz, 0.0, road.length_m - s) if at_end else lines.cut(road.xyz, s, road.length_m)
+        )
         point = kept[-1] if at_end else kept[0]
         gate = draft.node(point)
         draft.change(i, xyz=kept, **({"end": gate} if at_end else {"start": gate}))
         gates.append((float(np.arctan2(*(point - centre)[::-1])), gate))
     gates.sort()
     name = draft.get(arms[0][0]).name
-    for (a, from_gate), (b, to_gate) in zip(gates, [*gates[1:], (gates[0][0] + 2 * np.pi, gates[0][1])], strict=True):
+    for (a, from_gate), (b, to_gate) in zip(
+        gates, [*gates[1:], (gates[0][0] + 2 * np.pi, gates[0][1])], strict=True
+    ):
         reach = np.hypot(*(draft.nodes[from_gate] - centre)), np.hypot(*(draft.nodes[to_gate] - centre))
         t = np.linspace(a, b, max(5, int((b - a) * radius / 2.0)))
         r = np.linspace(*reach, len(t))
@@ -173,11 +181,13 @@ def _one_way_pairs(draft: Draft, count: int, rng: np.random.Generator, _: Networ
                 draft.change(i, forward=1, backward=0, lane_width_m=4.0)
 
 
-def _split_carriageways(draft: Draft, i: int, s_from: float, s_to: float, gap_m: float, role: str, taper: float) -> None:
+def _split_carriageways(
+    draft: Draft, i: int, s_from: float, s_to: float, gap_m: float, role: str, taper: float
+) -> None:
     """Between two places of a road its directions run apart, `gap_m` more than before."""
     road = draft.get(i)
-    second, _, rest = draft.split(i, s_to)
-    first, _, middle = draft.split(i, s_from)
+    second, _ = draft.split(i, s_to)
+    first, middle = draft.split(i, s_from)
     part = lines.resample(draft.get(middle).xyz, 3.0)
     s = lines.along(part)
     ease = np.clip(np.minimum(s, s[-1] - s) / taper, 0.0, 1.0)
@@ -185,7 +195,6 @@ def _split_carriageways(draft: Draft, i: int, s_from: float, s_to: float, gap_m:
     pair = draft.new_pair()
     right = lines.shifted(part, -ease * (road.backward * road.lane_width_m + gap_m) / 2)
     left = lines.shifted(part, ease * (road.forward * road.lane_width_m + gap_m) / 2)
-    del rest
     draft.change(middle, backward=0, xyz=right, role=role, pair=pair)
     twin = draft.get(middle)
     draft.road(
@@ -216,7 +225,9 @@ def _slip_lanes(draft: Draft, count: int, rng: np.random.Generator, _: NetworkSe
         if count == 0:
             return
         arms = draft.arms(node)
-        if len(arms) < 3 or any(draft.get(i).role or draft.get(i).level or draft.get(i).length_m < 90 for i, _ in arms):
+        if len(arms) < 3 or any(
+            draft.get(i).role or draft.get(i).level or draft.get(i).length_m < 90 for i, _ in arms
+        ):
             continue
         for a in arms:
             b = _right_neighbour(draft, a, arms)
@@ -231,7 +242,9 @@ def _can_leave(draft: Draft, arm: tuple[int, bool], outward: bool) -> bool:
     return bool((road.forward if arm[1] != outward else road.backward) > 0)
 
 
-def _right_neighbour(draft: Draft, a: tuple[int, bool], arms: list[tuple[int, bool]]) -> tuple[int, bool] | None:
+def _right_neighbour(
+    draft: Draft, a: tuple[int, bool], arms: list[tuple[int, bool]]
+) -> tuple[int, bool] | None:
     """The arm a right turn from `a` leads to, when it turns by 60 to 120 degrees."""
     out = _direction_out(draft, a)
     for b in arms:
@@ -247,9 +260,8 @@ def _slip(draft: Draft, a: tuple[int, bool], b: tuple[int, bool]) -> None:
     gates = []
     for i, at_end in (a, b):
         road = draft.get(i)
-        node, first, second = draft.split(i, road.length_m - 34.0 if at_end else 34.0)
-        inner, inner_end = (second, True) if at_end else (first, False)
-        gates.append((node, -_direction_out(draft, (inner, not inner_end)) if False else _towards(draft, inner, inner_end)))
+        node, far = draft.split(i, road.length_m - 34.0 if at_end else 34.0)
+        gates.append((node, _towards(draft, far if at_end else i, at_end)))
     (start, into), (end, back) = gates
     turn_in, turn_out = _rotated(into, -0.35), _rotated(-back, -0.35)
     xy = lines.bezier(draft.nodes[start], turn_in, draft.nodes[end], turn_out, 3.0)
@@ -275,8 +287,8 @@ def _frontage_roads(draft: Draft, count: int, rng: np.random.Generator, _: Netwo
     roads = [i for i in _plain(draft, 100.0) if draft.get(i).highway != "residential"] or _plain(draft, 100.0)
     for k, i in enumerate(_shuffled(roads, rng)[:count]):
         road = draft.get(i)
-        b, _, _ = draft.split(i, road.length_m - 24.0)
-        a, _, middle = draft.split(i, 24.0)
+        b, _ = draft.split(i, road.length_m - 24.0)
+        a, middle = draft.split(i, 24.0)
         part = lines.resample(draft.get(middle).xyz, 3.0)
         s = lines.along(part)
         ease = np.clip(np.minimum(s, s[-1] - s) / 16.0, 0.0, 1.0)
@@ -289,9 +301,13 @@ def _away_from_roads(draft: Draft, xy: Floats, least_m: float, but: int) -> bool
     """Whether a line keeps its distance from every other road (its first 20 m left out)."""
     line = lines.resample(xy, 5.0)
     line = line[lines.along(line) > 20.0]
+    low, high = line.min(axis=0) - least_m, line.max(axis=0) + least_m
     for i in draft.living():
-        other = lines.resample(draft.get(i).xyz, 5.0)
-        gap = np.hypot(*(line[:, None] - other[None]).transpose(2, 0, 1)) if len(line) else np.array([np.inf])
+        other = draft.get(i).xyz
+        if (other.min(axis=0) > high).any() or (other.max(axis=0) < low).any():
+            continue
+        other = lines.resample(other, 5.0)
+        gap = np.hypot(*(line[:, None] - other[None]).transpose(2, 0, 1))
         if gap.min() < (least_m if i != but else 15.0):
             return False
     return True
@@ -307,18 +323,36 @@ def _branch(draft: Draft, i: int, share: float, length_m: float, side: float) ->
     return s, lines.bowed(root, tip, 2.0)
 
 
-def _cul_de_sacs(draft: Draft, count: int, rng: np.random.Generator, plan: NetworkSettings) -> None:
+def _cul_de_sacs(draft: Draft, count: int, rng: np.random.Generator, _: NetworkSettings) -> None:
     """Dead ends of 35 to 60 m into the blocks."""
     for k, i in enumerate(_shuffled(_plain(draft, 70.0), rng)):
         if count == 0:
             return
-        length, share, side = float(rng.uniform(35, 60)), float(rng.uniform(0.4, 0.6)), float(rng.choice([-1.0, 1.0]))
+        length, share, side = (
+            float(rng.uniform(35, 60)),
+            float(rng.uniform(0.4, 0.6)),
+            float(rng.choice([-1.0, 1.0])),
+        )
         s, xy = _branch(draft, i, share, length, side)
         if not _away_from_roads(draft, xy, 14.0, i):
             continue
-        node, _, _ = draft.split(i, s)
+        node, _far = draft.split(i, s)
         end = draft.node(xy[-1])
-        draft.road(Road(node, end, xy, "residential", 1, 1, 2.75, street_name(80 + k), 30, "paving_stones", "cul_de_sac"))
+        draft.road(
+            Road(
+                node,
+                end,
+                xy,
+                "residential",
+                1,
+                1,
+                2.75,
+                street_name(80 + k),
+                30,
+                "paving_stones",
+                "cul_de_sac",
+            )
+        )
         count -= 1
 
 
@@ -330,23 +364,21 @@ def _parking_aisles(draft: Draft, count: int, rng: np.random.Generator, plan: Ne
         s, xy = _branch(draft, i, 0.5, plan.block_m * 0.42, float(rng.choice([-1.0, 1.0])))
         if not _away_from_roads(draft, xy, 25.0, i):
             continue
-        node, _, _ = draft.split(i, s)
+        node, _ = draft.split(i, s)
         end = draft.node(xy[-1])
         trunk = draft.road(Road(node, end, xy, "service", 1, 1, 3.0, "", 10, "asphalt", "parking"))
-        aisles = min(count, max(1, int((draft.get(trunk).length_m - 22.0) // 17.0)))
+        aisles = min(count, max(1, int((draft.get(trunk).length_m - 22.0) // AISLE_EVERY_M)))
         for k in range(aisles):
-            _aisle(draft, trunk, draft.get(trunk).length_m - 17.0 * (k > 0) if k else None, plan)
+            _aisle(draft, trunk, k, plan.block_m * 0.25)
         count -= aisles
 
 
-def _aisle(draft: Draft, trunk: int, s_m: float | None, plan: NetworkSettings) -> None:
-    """One aisle to the left of the car park's access road, at its end or `s_m` along it."""
+def _aisle(draft: Draft, trunk: int, number: int, length_m: float) -> None:
+    """One aisle to the left of a car park's access road: the first at its end, each other one nearer."""
     road = draft.get(trunk)
+    gate = road.end if number == 0 else draft.split(trunk, road.length_m - AISLE_EVERY_M)[0]
     way = lines.tangents(road.xyz)[-1]
-    gate = road.end
-    if s_m is not None:
-        gate, _, _ = draft.split(trunk, s_m)
-    tip = draft.nodes[gate] + plan.block_m * 0.25 * np.array([-way[1], way[0]])
+    tip = draft.nodes[gate] + length_m * np.array([-way[1], way[0]])
     xy = lines.bowed(draft.nodes[gate], tip, 0.0)
     draft.road(Road(gate, draft.node(tip), xy, "service", 1, 1, 2.75, "", 10, "asphalt", "parking_aisle"))
 

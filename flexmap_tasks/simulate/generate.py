@@ -26,7 +26,7 @@ BOX_MARGIN_M = 60.0
 class Simulation:
     """Everything about a world except its points, which are made as they are written.
 
-    picks : (k, 2) control points: row of the SLAM pose, row of the GNSS message
+    osm_later : the extract of the second date, None when the settings ask for one date
     """
 
     world: World
@@ -38,6 +38,7 @@ class Simulation:
     slam: SlamTrack
     hd_map: HdMap
     osm: OsmTown
+    osm_later: OsmTown | None
 
 
 def simulate(world: World, topology: Draft | None = None) -> Simulation:
@@ -56,8 +57,8 @@ def simulate(world: World, topology: Draft | None = None) -> Simulation:
     low, high = lanes.xyz[:, :2].min(axis=0) - BOX_MARGIN_M, lanes.xyz[:, :2].max(axis=0) + BOX_MARGIN_M
     slam = make_slam(world, drive, low, high)
     hd_map = draw_map(world, lanes, drive, slam)
-    osm = make_osm(world, network, frame)
-    return Simulation(world, frame, network, lanes, drive, gnss, slam, hd_map, osm)
+    osm, later = make_osm(world, network, frame)
+    return Simulation(world, frame, network, lanes, drive, gnss, slam, hd_map, osm, later)
 
 
 def picked_rows(simulation: Simulation) -> Ints:

@@ -88,7 +88,9 @@ def _modes(world: World, s: Floats) -> Ints:
 
 def _spread(plan: GnssSettings, mode: Ints) -> tuple[Floats, Floats]:
     """White and slow standard deviation per fix."""
-    white = np.array([plan.white_sigma_m, plan.float_sigma_m * 0.2, plan.dgps_sigma_m * 0.2, plan.single_sigma_m * 0.2])
+    white = np.array(
+        [plan.white_sigma_m, plan.float_sigma_m * 0.2, plan.dgps_sigma_m * 0.2, plan.single_sigma_m * 0.2]
+    )
     slow = np.array([plan.slow_sigma_m, plan.float_sigma_m, plan.dgps_sigma_m, plan.single_sigma_m])
     return white[mode], slow[mode]
 

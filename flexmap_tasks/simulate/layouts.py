@@ -10,7 +10,20 @@ from flexmap_tasks.simulate import lines
 from flexmap_tasks.simulate.roads import Draft, Road
 from flexmap_tasks.simulate.world import NetworkSettings
 
-STREETS = ("Linden", "Birken", "Garten", "Schul", "Bahnhof", "Wiesen", "Kirch", "Berg", "Mühl", "Ring", "Feld", "Au")
+STREETS = (
+    "Linden",
+    "Birken",
+    "Garten",
+    "Schul",
+    "Bahnhof",
+    "Wiesen",
+    "Kirch",
+    "Berg",
+    "Mühl",
+    "Ring",
+    "Feld",
+    "Au",
+)
 ENDS = ("straße", "weg", "gasse", "allee")
 
 
@@ -99,7 +112,9 @@ def _scatter(plan: NetworkSettings, rng: np.random.Generator) -> Floats:
 def _relative_neighbours(xy: Floats) -> Ints:
     """(e, 2) edges of the Gabriel graph: Delaunay edges whose circle holds no other point."""
     simplices = Delaunay(xy).simplices
-    edges = np.unique(np.sort(np.vstack([simplices[:, [0, 1]], simplices[:, [1, 2]], simplices[:, [2, 0]]]), axis=1), axis=0)
+    edges = np.unique(
+        np.sort(np.vstack([simplices[:, [0, 1]], simplices[:, [1, 2]], simplices[:, [2, 0]]]), axis=1), axis=0
+    )
     neighbours: dict[int, set[int]] = {}
     for a, b in edges.tolist():
         neighbours.setdefault(a, set()).add(b)
@@ -135,7 +150,9 @@ def motorway(draft: Draft, plan: NetworkSettings, rng: np.random.Generator) -> N
         _interchange(draft, plan, rng, x, k, east[k], west[k])
 
 
-def _carriageway(draft: Draft, plan: NetworkSettings, ends: Floats, xs: Floats, y: float) -> list[tuple[int, int]]:
+def _carriageway(
+    draft: Draft, plan: NetworkSettings, ends: Floats, xs: Floats, y: float
+) -> list[tuple[int, int]]:
     """One direction; returns per interchange the junctions of its exit and its entry in driving order."""
     east = y < 0
     stops = [ends[0], *[v for x in xs for v in (x - 170.0, x + 170.0)], ends[1]]
@@ -173,7 +190,9 @@ def _turning_loop(draft: Draft, node: int, centre: Floats, number: int) -> None:
     start = draft.nodes[node]
     radius = float(np.hypot(*(centre - start)))
     angle0 = float(np.arctan2(*(start - centre)[::-1]))
-    corners = [draft.node(centre + radius * np.array([np.cos(angle0 + t), np.sin(angle0 + t)])) for t in (2.1, 4.2)]
+    corners = [
+        draft.node(centre + radius * np.array([np.cos(angle0 + t), np.sin(angle0 + t)])) for t in (2.1, 4.2)
+    ]
     stops = [node, *corners, node]
     for k in range(3):
         t = angle0 + np.linspace(2.1 * k, 2.1 * (k + 1) if k < 2 else 2 * np.pi, 12)

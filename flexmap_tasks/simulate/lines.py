@@ -52,7 +52,9 @@ def shifted(xy: Floats, left_m: float | Floats) -> Floats:
     return out
 
 
-def bezier(start: Floats, start_way: Floats, end: Floats, end_way: Floats, spacing_m: float, n: int = 0) -> Floats:
+def bezier(
+    start: Floats, start_way: Floats, end: Floats, end_way: Floats, spacing_m: float, n: int = 0
+) -> Floats:
     """A cubic that leaves `start` along `start_way` and arrives at `end` along `end_way` (unit vectors).
 
     The handles are those of the circle with the same chord and turn. n : number of points, 0 by spacing.

@@ -67,21 +67,30 @@ def make_osm(world: World, network: Network, frame: TownFrame) -> tuple[OsmTown,
     ways = []
     for number, chain in enumerate([*chains, *unseen]):
         nodes = np.concatenate(
-            [np.flip(pieces[k].nodes)[n > 0 :] if back else pieces[k].nodes[n > 0 :] for n, (k, back) in enumerate(chain)]
+            [
+                np.flip(pieces[k].nodes)[n > 0 :] if back else pieces[k].nodes[n > 0 :]
+                for n, (k, back) in enumerate(chain)
+            ]
         )
-        ways.append(Way(FIRST_WAY + number, nodes, pieces[chain[0][0]].tags, chain, present=number < len(chains)))
+        ways.append(
+            Way(FIRST_WAY + number, nodes, pieces[chain[0][0]].tags, chain, present=number < len(chains))
+        )
     for nodes, tags in other_lines(world, network, survey):
         ways.append(Way(FIRST_WAY + len(ways), nodes, tags, []))
     xy = survey.xy()
-    today = _town(frame, network, pieces, ways, xy, [])
+    first = np.ones(len(xy), dtype=np.int64)
+    today = _town(frame, network, pieces, ways, xy, first, [])
     if not world.osm.later_date:
         return today, None
-    return today, _town(frame, network, pieces, *some_time_later(world, ways, xy))
+    later, moved, changes = some_time_later(world, ways, xy)
+    version = first + (moved != xy).any(axis=1)
+    return today, _town(frame, network, pieces, later, moved, version, changes)
 
 
 def _town(
-    frame: TownFrame, network: Network, pieces: list[Piece], ways: list[Way], xy: Floats, changes: list[Change]
-) -> OsmTown:
+    frame: TownFrame, network: Network, pieces: list[Piece], ways: list[Way], xy: Floats, version: Ints,
+    changes: list[Change],
+) -> OsmTown:  # fmt: skip
     """The document, and where every road lies in it, measured on the coordinates as written."""
     lonlat = np.round(frame.geodetic(np.column_stack([xy, np.zeros(len(xy))]))[:, :2], COORDINATE_DIGITS)
     xy = frame.local(lonlat)
@@ -100,34 +109,41 @@ def _town(
     for found in parts.values():
         found.sort(key=lambda p: float(p.road_s[0]))
     tags = {w.id: w.tags for w in there}
-    return OsmTown(_document(there, lonlat, network), parts, tags, length, tuple(ways), tuple(changes))
+    return OsmTown(
+        _document(there, lonlat, version, network), parts, tags, length, tuple(ways), tuple(changes)
+    )
 
 
-def _place(parts: dict[int, list[RoadPart]], piece: Piece, way_id: int, way_s: Floats, direction: int) -> None:
+def _place(
+    parts: dict[int, list[RoadPart]], piece: Piece, way_id: int, way_s: Floats, direction: int
+) -> None:
     parts.setdefault(piece.road, []).append(RoadPart(piece.road, way_id, piece.road_s, way_s, direction))
     if piece.twin >= 0:
         twin = RoadPart(piece.twin, way_id, piece.twin_s[::-1], way_s[::-1], -direction)
         parts.setdefault(piece.twin, []).append(twin)
 
 
-def _document(ways: list[Way], lonlat: Floats, network: Network) -> OsmDocument:
+def _document(ways: list[Way], lonlat: Floats, version: Ints, network: Network) -> OsmDocument:
     draft = DocumentDraft()
     for way in ways:
         draft.way(way.id, FIRST_NODE + way.nodes, way.tags)
     used: Ints = np.unique(np.concatenate([w.nodes for w in ways]))
     place = lonlat[used]
     form = f"%.{COORDINATE_DIGITS}f"
+    origin = {v: _origin(v) for v in STAMPS}
     attributes = same_keys(
-        {k: np.full(len(used), v, dtype=object) for k, v in _origin(1).items()}
+        {k: strings(origin[v][k] for v in version[used].tolist()) for k in origin[1]}
         | {"lat": texts(place[:, 1], form), "lon": texts(place[:, 0], form)}
     )
-    signals = Tags.of({"highway": "traffic_signals"} if k in network.signal_nodes else {} for k in used.tolist())
+    signals = Tags.of(
+        {"highway": "traffic_signals"} if k in network.signal_nodes else {} for k in used.tolist()
+    )
     low, high = place.min(axis=0), place.max(axis=0)
     box = dict(zip(("minlat", "minlon", "maxlat", "maxlon"), (low[1], low[0], high[1], high[0]), strict=True))
     bounds = "<bounds " + " ".join(f'{k}="{v:.7f}"' for k, v in box.items()) + "/>"
     return draft.finished(
         {"version": "0.6", "generator": "simulate"}, FIRST_NODE + used, place, attributes, signals,
-        {w.id: _origin(w.version) for w in ways}, strings([bounds]).tolist(),
+        {w.id: origin[w.version] for w in ways}, (bounds,),
     )  # fmt: skip
 
 

@@ -55,7 +55,7 @@ def some_time_later(world: World, ways: list[Way], xy: Floats) -> tuple[list[Way
             out.append(replace(way, present=False))
             changes.append(Change(way.id, "gone"))
         elif bent and _bend(moved, way.nodes, used, 1.0 if pick % 2 else -1.0):
-            out.append(replace(way, version=2))
+            out.append(way)  # its nodes get a new version, as in OpenStreetMap
             changes.append(Change(way.id, "geometry"))
         elif tagged and (key := _first_key(way.tags, pick)):
             new = f"Neue {way.tags[key]}" if key == "name" else false_value(key, way.tags[key], pick)

@@ -61,7 +61,9 @@ class Survey:
 def missing_roads(world: World, network: Network) -> frozenset[int]:
     """Roads that OSM does not have; never one that others need, such as a part of a roundabout."""
     lot = stream(world.seed, "osm_missing").uniform(size=len(network.roads))
-    plain = np.array([r.role in ("", "cul_de_sac", "parking_aisle", "frontage", "slip") for r in network.roads])
+    plain = np.array(
+        [r.role in ("", "cul_de_sac", "parking_aisle", "frontage", "slip") for r in network.roads]
+    )
     return frozenset(np.flatnonzero((lot < world.osm.missing_share) & plain).tolist())
 
 
@@ -128,7 +130,9 @@ def _road_pieces(
         s = share[rows][part]
         twin_s = (1.0 - s) * network.roads[twin].length_m if twin >= 0 else np.empty(0)
         out.append(
-            Piece(i, s * road.length_m, placed[part], nodes[part], road_tags(road, section, lanes), twin, twin_s)
+            Piece(
+                i, s * road.length_m, placed[part], nodes[part], road_tags(road, section, lanes), twin, twin_s
+            )
         )
     return out
 
@@ -138,7 +142,8 @@ def _middle_line(one: Floats, other: Floats) -> Floats:
     share = np.linspace(0.0, 1.0, len(one))
     back = other[::-1, :2]
     return np.asarray(
-        (lines.at(one[:, :2], share * lines.along(one)[-1]) + lines.at(back, share * lines.along(back)[-1])) / 2
+        (lines.at(one[:, :2], share * lines.along(one)[-1]) + lines.at(back, share * lines.along(back)[-1]))
+        / 2
     )
 
 

@@ -14,7 +14,9 @@ End = tuple[int, bool]
 NARROW_TURN_RAD = 0.7
 
 
-def join_pieces(pieces: list[Piece], allowed: list[int], share: float, rng: np.random.Generator) -> list[list[Link]]:
+def join_pieces(
+    pieces: list[Piece], allowed: list[int], share: float, rng: np.random.Generator
+) -> list[list[Link]]:
     """Chains of pieces, each one way; `share` of the joints that fit are joined.
 
     No way visits a node twice, and one-way pieces are never turned.

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -56,7 +56,11 @@ class Road:
 
     def sections(self) -> list[tuple[float, float, dict[str, str]]]:
         """(from, to, tags) in metres along the road, each with equal tags."""
-        tags = {"name": self.name, "maxspeed": str(self.maxspeed) if self.maxspeed else "", "surface": self.surface}
+        tags = {
+            "name": self.name,
+            "maxspeed": str(self.maxspeed) if self.maxspeed else "",
+            "surface": self.surface,
+        }
         length, out, begin = self.length_m, [], 0.0
         for share, key, value in sorted(self.changes):
             if share * length > begin:
@@ -89,16 +93,18 @@ class Network:
         return out
 
 
-@dataclass(slots=True)
 class Draft:
-    """A network on the drawing board, in the plane; roads that are taken away leave None.
+    """A network on the drawing board, in the plane; a road that is taken away leaves its number unused.
 
     Everything is drawn for traffic that keeps right; `finished` mirrors it for the other side.
     """
 
-    nodes: list[Floats] = field(default_factory=list)
-    roads: list[Road | None] = field(default_factory=list)
-    pairs: int = 0
+    def __init__(self) -> None:
+        self.nodes: list[Floats] = []
+        self._roads: dict[int, Road] = {}
+        self._arms: dict[int, set[tuple[int, bool]]] = {}
+        self._next = 0
+        self._pairs = 0
 
     def node(self, xy: Floats) -> int:
         """Add a junction."""
@@ -109,59 +115,61 @@ class Draft:
         """Add a road; its line is bent to end exactly in its junctions."""
         xy = road.xyz[:, :2].copy()
         xy[0], xy[-1] = self.nodes[road.start], self.nodes[road.end]
-        self.roads.append(replace(road, xyz=xy))
-        return len(self.roads) - 1
+        self._next += 1
+        self._put(self._next - 1, replace(road, xyz=xy))
+        return self._next - 1
+
+    def _put(self, i: int, road: Road) -> None:
+        self.remove(i)
+        self._roads[i] = road
+        self._arms.setdefault(road.start, set()).add((i, False))
+        self._arms.setdefault(road.end, set()).add((i, True))
+
+    def remove(self, i: int) -> None:
+        """Take road i away, if it is there."""
+        road = self._roads.pop(i, None)
+        if road is not None:
+            self._arms[road.start].discard((i, False))
+            self._arms[road.end].discard((i, True))
 
     def get(self, i: int) -> Road:
-        """Road i, which must still be there."""
-        road = self.roads[i]
-        if road is None:
-            raise LookupError(f"road {i} was taken away")
-        return road
+        """Road i, which must be there."""
+        return self._roads[i]
 
     def living(self) -> list[int]:
         """Numbers of the roads that are there."""
-        return [i for i, r in enumerate(self.roads) if r is not None]
+        return sorted(self._roads)
 
     def change(self, i: int, **values: object) -> None:
         """Give road i other properties."""
-        self.roads[i] = replace(self.get(i), **values)  # type: ignore[arg-type]
+        self._put(i, replace(self._roads[i], **values))  # type: ignore[arg-type]
 
     def arms(self, node: int) -> list[tuple[int, bool]]:
         """(road, at its end) of the roads at a junction."""
-        return [
-            (i, at_end)
-            for i, r in enumerate(self.roads)
-            if r is not None
-            for at_end in (False, True)
-            if (r.end if at_end else r.start) == node
-        ]
+        return sorted(self._arms.get(node, ()))
 
-    def split(self, i: int, s_m: float) -> tuple[int, int, int]:
-        """Cut road i at s_m: the new junction and the numbers of both parts (the first keeps its number)."""
-        road = self.get(i)
+    def split(self, i: int, s_m: float) -> tuple[int, int]:
+        """Cut road i at s_m, before any tag change: the new junction and the number of the far part."""
+        road = self._roads[i]
+        if road.changes:
+            raise ValueError("tags change on a road that is to be split: split first")
+        node = self.node(lines.at(road.xyz, np.array([s_m]))[0])
         first, second = lines.cut(road.xyz, 0.0, s_m), lines.cut(road.xyz, s_m, road.length_m)
-        node = self.node(first[-1])
-        share = s_m / road.length_m
-        early = tuple((f / share, k, v) for f, k, v in road.changes if f < share)
-        late = tuple(((f - share) / (1 - share), k, v) for f, k, v in road.changes if f >= share)
-        self.roads[i] = replace(road, end=node, xyz=first, changes=early)
-        carried = {k: v for _, k, v in sorted(road.changes) if (_ < share)}
-        tail = replace(road, start=node, xyz=second, changes=late)
-        for key, value in carried.items():
-            tail = replace(tail, **{key: int(value) if key == "maxspeed" else value})  # type: ignore[arg-type]
-        return node, i, self.road(tail)
+        self._put(i, replace(road, end=node, xyz=first))
+        return node, self.road(replace(road, start=node, xyz=second))
 
     def new_pair(self) -> int:
         """A number for two carriageways that belong together."""
-        self.pairs += 1
-        return self.pairs - 1
+        self._pairs += 1
+        return self._pairs - 1
 
     def finished(self, side: int) -> tuple[Floats, list[Road]]:
         """Junctions in use (m, 2) and their roads, mirrored where traffic keeps left."""
-        roads = [r for r in self.roads if r is not None]
+        roads = [self._roads[i] for i in self.living()]
         used = sorted({n for r in roads for n in (r.start, r.end)})
         place = {n: k for k, n in enumerate(used)}
         mirror = np.array([side, 1.0])
         xy = np.array([self.nodes[n] for n in used]) * mirror
-        return xy, [replace(r, start=place[r.start], end=place[r.end], xyz=r.xyz[:, :2] * mirror) for r in roads]
+        return xy, [
+            replace(r, start=place[r.start], end=place[r.end], xyz=r.xyz[:, :2] * mirror) for r in roads
+        ]

@@ -98,7 +98,17 @@ def make_slam(world: World, drive: Drive, low_m: Floats, high_m: Floats) -> Slam
     body = Rotation.from_matrix(rotation) * Rotation.from_euler("ZYX", angles + wobble)
     field = _field(drive, s, shift, turn, low_m, high_m)
     return SlamTrack(
-        time, at, xyz, yaw, pitch, (moved - xyz[0]) @ rotation.T + start, body.as_quat(), rotation, xyz[0], start, field
+        time,
+        at,
+        xyz,
+        yaw,
+        pitch,
+        (moved - xyz[0]) @ rotation.T + start,
+        body.as_quat(),
+        rotation,
+        xyz[0],
+        start,
+        field,
     )
 
 
@@ -165,7 +175,8 @@ def _accumulated(steps: Floats, pairs: Ints, sigma: float, closure: str) -> Floa
     smooth = diags([np.full(n, 1.0), np.full(n - 1, -1.0)], [0, -1]).tocsr() / spread
     rows = np.arange(len(pairs))
     tie = coo_matrix(
-        (np.repeat([1.0, -1.0], len(pairs)) / sigma, (np.tile(rows, 2), pairs.T.ravel())), shape=(len(pairs), n)
+        (np.repeat([1.0, -1.0], len(pairs)) / sigma, (np.tile(rows, 2), pairs.T.ravel())),
+        shape=(len(pairs), n),
     ).tocsr()
     normal = (smooth.T @ smooth + tie.T @ tie).tocsc()
     right = smooth.T @ (steps / spread)

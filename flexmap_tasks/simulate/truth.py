@@ -36,7 +36,11 @@ def frame_table(world: World, frame: TownFrame, slam: SlamTrack) -> Table:
         "origin_height_m": frame.height_m, "grid_scale": frame.scale,
     }  # fmt: skip
     row |= {f"rotation_{i}{j}": float(slam.rotation[i, j]) for i in range(3) for j in range(3)}
-    for name, vector in (("pivot", slam.origin_m), ("start", slam.start_m), ("lever", world.gnss.lever_arm_m)):
+    for name, vector in (
+        ("pivot", slam.origin_m),
+        ("start", slam.start_m),
+        ("lever", world.gnss.lever_arm_m),
+    ):
         row |= {f"{name}_{axis}_m": float(v) for axis, v in zip("xyz", vector, strict=True)}
     row["clock_offset_s"] = world.gnss.clock_offset_s
     return {k: np.array([v]) for k, v in row.items()}
@@ -49,7 +53,9 @@ def pose_table(world: World, frame: TownFrame, drive: Drive, slam: SlamTrack, gn
         name: _nearest_flag(slam.time_s, gnss.time_s, getattr(gnss, name), 1.5 / world.gnss.rate_hz)
         for name in ("multipath", "jump")
     }
-    gap = np.abs(gnss.time_s[_nearest(slam.time_s, gnss.time_s)] - slam.time_s) if len(gnss.time_s) else np.inf
+    gap = (
+        np.abs(gnss.time_s[_nearest(slam.time_s, gnss.time_s)] - slam.time_s) if len(gnss.time_s) else np.inf
+    )
     return {
         "row": np.arange(len(slam.time_s)), "stamp_ns": stamps_ns(world, slam.time_s), "s_m": slam.s_m,
         "lon_deg": geo[:, 0], "lat_deg": geo[:, 1], "ele_m": geo[:, 2],
@@ -72,7 +78,9 @@ def _nearest(time: Floats, others: Floats) -> NDArray[np.int64]:
     return np.asarray(order[np.where(nearer, left, right)])
 
 
-def _nearest_flag(time: Floats, others: Floats, flag: NDArray[np.bool_], within_s: float) -> NDArray[np.bool_]:
+def _nearest_flag(
+    time: Floats, others: Floats, flag: NDArray[np.bool_], within_s: float
+) -> NDArray[np.bool_]:
     if not len(others):
         return np.zeros(len(time), dtype=bool)
     row = _nearest(time, others)
@@ -114,7 +122,9 @@ class MatchRows:
         """One piece; lower way_s first."""
         way = part.way_id if part else 0
         low, high = (min(way_s), max(way_s)) if part else (np.nan, np.nan)
-        self.rows.append((lanelet.id, *s, length, way, low, high, direction if part else 0, kind, reason, road, also))
+        self.rows.append(
+            (lanelet.id, *s, length, way, low, high, direction if part else 0, kind, reason, road, also)
+        )
 
 
 COLUMNS = ("lanelet_id", "s_from_m", "s_to_m", "lanelet_length_m", "way_id", "way_s_from_m", "way_s_to_m",
@@ -173,14 +183,27 @@ def _along(
     low, high = float(up[0][0]), float(up[0][-1])
     parts = osm.parts.get(road, [])
     if not parts:
-        rows.add(lanelet, (float(s[0]), float(s[-1])), length, None, (0.0, 0.0), 0, "none", "missing_in_osm", road)
+        rows.add(
+            lanelet, (float(s[0]), float(s[-1])), length, None, (0.0, 0.0), 0, "none", "missing_in_osm", road
+        )
     for part in parts:
         a, b = max(low, float(part.road_s[0])), min(high, float(part.road_s[-1]))
         if b - a <= MIN_PIECE_M:
             continue
         at = sorted(np.interp([a, b], *up).tolist())
         way = np.interp([a, b], part.road_s, part.way_s).tolist()
-        rows.add(lanelet, (at[0], at[1]), length, part, (way[0], way[1]), direction * part.direction, kind, "", road, also)
+        rows.add(
+            lanelet,
+            (at[0], at[1]),
+            length,
+            part,
+            (way[0], way[1]),
+            direction * part.direction,
+            kind,
+            "",
+            road,
+            also,
+        )
     _tags(rows, lanes, osm, lanelet, road, up, length)
 
 
@@ -198,7 +221,10 @@ def _turn(
     middle = float(lines.along(fine)[int(np.argmin(np.hypot(*(fine[:, :2] - node[:2]).T)))])
     middle = float(np.clip(middle, 0.02 * s[-1], 0.98 * s[-1]))
     ends = []
-    for road, direction, leaving in ((strip.road, strip.direction, False), (strip.to_road, strip.to_direction, True)):
+    for road, direction, leaving in (
+        (strip.road, strip.direction, False),
+        (strip.to_road, strip.to_direction, True),
+    ):
         at_end = (direction > 0) != leaving
         length = lanes.network.roads[road].length_m
         trim = lanes.trims[road, at_end]
@@ -208,7 +234,19 @@ def _turn(
     for k, (road, direction, span) in enumerate(ends):
         piece = (0.0, middle) if k == 0 else (middle, float(s[-1]))
         other = ways[1 - k] if ways[1 - k] != ways[k] else 0
-        _along(rows, lanes, osm, lanelet, road, direction, np.array(span), np.array(piece), float(s[-1]), "junction", other)
+        _along(
+            rows,
+            lanes,
+            osm,
+            lanelet,
+            road,
+            direction,
+            np.array(span),
+            np.array(piece),
+            float(s[-1]),
+            "junction",
+            other,
+        )
 
 
 def _way_at(osm: OsmTown, road: int, span: tuple[float, ...]) -> int:
@@ -233,10 +271,16 @@ def _tags(
         part = next((p for p in parts if p.road_s[0] <= (a + b) / 2 <= p.road_s[-1]), None)
         said = osm.tags[part.way_id] if part else {}
         s = sorted(np.interp([a, b], *up).tolist())
-        truth = expected(line.highway, section.get("maxspeed", ""), section.get("name", ""), section.get("surface", ""))
-        offered = expected(said.get("highway", ""), said.get("maxspeed", ""), said.get("name", ""), said.get("surface", ""))
+        truth = expected(
+            line.highway, section.get("maxspeed", ""), section.get("name", ""), section.get("surface", "")
+        )
+        offered = expected(
+            said.get("highway", ""), said.get("maxspeed", ""), said.get("name", ""), said.get("surface", "")
+        )
         for key, value in truth.items():
-            rows.tags.append((lanelet.id, s[0], s[1], length, key, value, offered[key], part.way_id if part else 0))
+            rows.tags.append(
+                (lanelet.id, s[0], s[1], length, key, value, offered[key], part.way_id if part else 0)
+            )
 
 
 def expected(highway: str, maxspeed: str, name: str, surface: str) -> dict[str, str]:

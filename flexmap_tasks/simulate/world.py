@@ -77,7 +77,9 @@ class GnssSettings(Params):
     lever_arm_m: tuple[Metres, Metres, Metres] = Field(
         (0.0, 0.0, 0.0), description="antenna seen from the SLAM body: forward, left, up"
     )
-    white_sigma_m: NonNegative = Field(0.01, description="RTK fixed, each horizontal axis; twice that in height")
+    white_sigma_m: NonNegative = Field(
+        0.01, description="RTK fixed, each horizontal axis; twice that in height"
+    )
     slow_sigma_m: NonNegative = Field(0.02, description="wandering part, RTK fixed")
     slow_time_s: Positive = 60.0
     float_share: Share = Field(0.0, description="of the time in RTK float")
@@ -152,7 +154,9 @@ class HdMapSettings(Params):
     stub_max_m: Positive = 25.0
     missing_lane_share: Share = Field(0.0, description="outer lanes left out")
     fragment_share: Share = Field(0.0, description="pieces of lane beyond the road's edge that lead nowhere")
-    speed_limit_km_h: Annotated[int, Field(ge=1, le=200)] = Field(10, description="the drawing tool's own value")
+    speed_limit_km_h: Annotated[int, Field(ge=1, le=200)] = Field(
+        10, description="the drawing tool's own value"
+    )
     shoulders: bool = False
 
 

@@ -182,13 +182,34 @@ def test_all_ways_to_name_a_place_agree(tmp_path: Path, source: str, target: str
 
 
 def test_first_complete_way_counts(tmp_path: Path) -> None:
-    text = (
-        "name,slam_row,slam_raw_x,slam_raw_y,gnss_x,gnss_y,gnss_row\n"
-        "a,5,0,0,1,2,100\nb,7,,,101,1,\nc,,0,100,,,199\n"
-    )
+    text = "name,slam_row,slam_raw_x,slam_raw_y,gnss_x,gnss_y,gnss_row\na,,0,0,1,2,\nb,7,,,101,1,\nc,,0,100,,,199\n"
     points = read(tmp_path, text, max_rigid_distance_m=1000)
     assert np.allclose(points.source_xy_m, [[0, 0], drive()[7], [0, 100]], atol=1e-9)
     assert np.allclose(points.target_xy_m, [[1, 2], [101, 1], drive()[199]], atol=1e-9)
+
+
+@pytest.mark.parametrize("edited", ["lat", "x", "row"])
+def test_the_one_of_three_ways_that_was_changed_counts(tmp_path: Path, edited: str) -> None:
+    rows, track = [10, 70, 150], drive()
+    lonlat = HERE.to_lonlat_deg(track)
+    moved = track[70] + np.array([0.3, -0.2])
+    x, lat, row = track.copy(), lonlat.copy(), np.arange(len(track))
+    expected = moved
+    if edited == "lat":
+        lat[70] = HERE.to_lonlat_deg(moved[None])[0]
+    elif edited == "x":
+        x[70] = moved
+    else:
+        row[70], expected = 71, track[71]
+    lines = [f"{r},{x[r, 0]},{x[r, 1]},{lat[r, 1]:.12f},{lat[r, 0]:.12f},{row[r]}" for r in rows]
+    points = read(tmp_path, "\n".join(["slam_row,gnss_x,gnss_y,gnss_lat,gnss_lon,gnss_row", *lines]))
+    assert np.abs(points.target_xy_m - np.array([track[10], expected, track[150]])).max() < 1e-6
+
+
+def test_two_ways_that_contradict_each_other_are_refused(tmp_path: Path) -> None:
+    text = "slam_row,gnss_x,gnss_y,gnss_row\n10,5000,1,10\n70,,,70\n150,,,150\n"
+    with pytest.raises(AlignmentError, match=r"line 2 .*target_x_m and target_row lie .* m apart; keep one"):
+        read(tmp_path, text)
 
 
 def test_delimiters_comments_and_marks_are_understood(tmp_path: Path) -> None:

@@ -254,3 +254,15 @@ def test_no_fragment_where_the_count_fits(tmp_path: Path) -> None:
     )
     assert stray in lanelets_of(after.map).id
     assert members_of(after.map, stray) == members_of(before, stray)
+
+
+def test_a_speed_limit_rule_of_the_map_decides(tmp_path: Path) -> None:
+    draft = Draft()
+    lanes = [road(draft, [50.0], 1, 0).forward[0][0] for _ in range(2)]
+    for lane, sign in zip(lanes, ("50 km/h", "de274-30"), strict=True):
+        rule = draft.relation([], type="regulatory_element", subtype="speed_limit", sign_type=sign)
+        draft.relations[lane][0].append(("relation", rule, "regulatory_element"))
+    before = draft.read(tmp_path)
+    after = run(before, along_x(before, []), roads_of([{"maxspeed": "50"}]))
+    assert [tags_of(after.map, x)["speed_limit"] for x in lanes] == ["10", "10"]
+    assert [rows(after, lanelet_id=x)[0]["action"] for x in lanes] == ["keep", "review"]

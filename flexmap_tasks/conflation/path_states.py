@@ -1,0 +1,142 @@
+"""Where on the road graph every sample could lie, and how well each place fits on its own."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import shapely
+
+from flexmap_tasks.config import PathParams
+from flexmap_tasks.conflation.path_samples import Samples
+from flexmap_tasks.conflation.road_graph import RoadGraph, tag
+from flexmap_tasks.geometry.lanelets import offsets
+from flexmap_tasks.geometry.segments import first_of_groups, project
+from flexmap_tasks.model.arrays import Floats, Ints
+from flexmap_tasks.model.maps import RoadNetwork
+
+MISFIT_MAX = 8.0
+"""One sample cannot say more than this against a place."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Near:
+    """Pairs of a sample and a segment of the road graph.
+
+    sample, segment : (p,) int64, ordered by sample
+    """
+
+    sample: Ints
+    segment: Ints
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class States:
+    """Candidates of every sample, the last of each being "no counterpart" (link -1).
+
+    offset : (n + 1,) int64; link, direction : (m,) int64; s_m : (m,) float64 along the link
+    cost : (m,) float64 >= 0
+    offset_m : (m, 2) float64, from where the road is expected to where it is
+    angle_deg : (m,) float64, between the headings
+    """
+
+    offset: Ints
+    link: Ints
+    direction: Ints
+    s_m: Floats
+    cost: Floats
+    offset_m: Floats
+    angle_deg: Floats
+
+    @property
+    def sample(self) -> Ints:
+        """(m,) the sample of every state."""
+        return np.repeat(np.arange(len(self.offset) - 1), np.diff(self.offset))
+
+
+def near_segments(samples: Samples, graph: RoadGraph, radius_m: float) -> Near:
+    """All segments within the radius of every sample, through a spatial index."""
+    if not len(graph.link) or not len(samples):
+        return Near(np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64))
+    tree = shapely.STRtree(shapely.linestrings(np.stack([graph.a_m, graph.b_m], axis=1)))
+    sample, segment = tree.query(shapely.points(samples.point_m), predicate="dwithin", distance=radius_m)
+    order = np.lexsort((segment, sample))
+    return Near(sample[order].astype(np.int64), segment[order].astype(np.int64))
+
+
+def link_costs(network: RoadNetwork, graph: RoadGraph, params: PathParams) -> Floats:
+    """(k,) what speaks against a link as such: private, service and unfinished roads carry fewer lanes."""
+    service = np.isin(tag(network, graph, "service"), ("parking_aisle", "driveway", "drive-through"))
+    closed = np.isin(tag(network, graph, "access"), ("no", "private"))
+    cost: Floats = service * params.minor_cost + closed * params.minor_cost
+    return cost
+
+
+def states_of(
+    samples: Samples, graph: RoadGraph, near: Near, link_cost: Floats, shift_m: Floats, sigma_m: float,
+    params: PathParams,
+) -> States:  # fmt: skip
+    """Best place per sample and link, the cheapest `params.candidates` of each sample, and no counterpart.
+
+    shift_m : (n, 2) float64, by how much roads are displaced against the lanelets here; sigma_m : the scatter
+    about it. Expected is a two-way road in the middle between both directions (between the sample's own middle
+    and its inner edge where no lane comes towards it), a one-way road in the middle of the sample's own lanes.
+    """
+    sample, segment = near.sample, near.segment
+    point = samples.point_m[sample] + shift_m[sample]
+    t, _ = project(point, graph.a_m[segment], graph.b_m[segment])
+    run = graph.b_m[segment] - graph.a_m[segment]
+    length = np.hypot(*run.T)
+    heading = samples.heading[sample]
+    cos = np.einsum("ij,ij->i", heading, run) / length
+    direction = np.where(cos >= 0, 1, -1)
+    link = graph.link[segment]
+    along_way = direction * graph.one_way[link]
+    off = graph.a_m[segment] + t[:, None] * run - point
+    right = np.stack([heading[:, 1], -heading[:, 0]], axis=1)
+    aside = np.einsum("ij,ij->i", off, right)
+    low, high = _expected(samples, sample, along_way != 0)
+    wanted = np.clip(aside, low, high)
+    rest = off - wanted[:, None] * right
+    spread2 = sigma_m**2 + _junction_m(samples)[sample] ** 2
+    angle = np.degrees(np.arccos(np.clip(np.abs(cos), 0.0, 1.0)))
+    angle_scale = params.angle_sigma_deg + 0.4 * np.minimum(samples.turn_deg, 120.0)[sample]
+    cost = np.minimum(np.einsum("ij,ij->i", rest, rest) / spread2 / 2, MISFIT_MAX)
+    cost = cost + np.minimum((angle / angle_scale) ** 2 / 2, MISFIT_MAX)
+    cost = cost + link_cost[link] + params.wrong_way_cost * (along_way < 0)
+    s = graph.s_m[segment] + t * length
+    best = first_of_groups(sample * len(graph) + link, cost, segment)
+    place = best[np.lexsort((link[best], np.round(cost[best], 9), sample[best]))]
+    rank = np.arange(len(place)) - np.searchsorted(sample[place], sample[place])
+    place = place[rank < params.candidates]
+    place = place[np.lexsort((link[place], sample[place]))]
+    n = len(samples)
+    count = np.bincount(sample[place], minlength=n)
+    offset = offsets(count + 1)
+    at = np.arange(len(place)) + sample[place]
+    total = int(offset[-1])
+    weight = samples.step_m[sample[place]] / params.correlation_m
+    nowhere = samples.step_m / params.correlation_m * params.absent_cost
+    out = States(
+        offset, np.full(total, -1, dtype=np.int64), np.zeros(total, dtype=np.int64), np.zeros(total),
+        np.zeros(total), np.zeros((total, 2)), np.zeros(total),
+    )  # fmt: skip
+    out.link[at], out.direction[at], out.s_m[at] = link[place], direction[place], s[place]
+    out.cost[at], out.cost[offset[1:] - 1] = weight * cost[place], nowhere
+    out.offset_m[at], out.angle_deg[at] = rest[place] + shift_m[sample[place]], angle[place]
+    return out
+
+
+def _expected(samples: Samples, sample: Ints, directed: np.ndarray) -> tuple[Floats, Floats]:
+    """Where the road should lie to the right of the sample, from and to, metres."""
+    inner = -samples.half_m[sample]
+    low = np.where(samples.lone[sample], np.minimum(inner, 0.0), 0.0)
+    high = np.where(samples.lone[sample], np.maximum(inner, 0.0), 0.0)
+    own = samples.aside_m[sample]
+    return np.where(directed, own, low), np.where(directed, own, high)
+
+
+def _junction_m(samples: Samples) -> Floats:
+    """How much further a turn keeps from the roads it joins, which meet in a corner."""
+    extra: Floats = np.where(samples.connector, 1.0 + 4.0 * np.minimum(samples.turn_deg, 120.0) / 90.0, 0.0)
+    return extra
