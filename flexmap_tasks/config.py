@@ -225,9 +225,12 @@ class PathParams(Params):
 
 
 class MatchParams(Params):
-    """Buffer growing (Zhang and Meng 2005); defaults of the original."""
+    """How lanelets find their roads. All but `path` belongs to buffer growing, with the original's defaults."""
 
-    method: Literal["buffer_growing"] = "buffer_growing"
+    method: Literal["path", "buffer_growing"] = Field(
+        "path", description="path: all lanelet paths at once; buffer_growing: the paper's (Zhang and Meng 2005)"
+    )
+    path: PathParams = PathParams()
     segment_length_m: Positive = 5.0
     reference_angle_max_deg: Positive = Field(
         30.0, description="a reference polyline ends at a sharper corner"

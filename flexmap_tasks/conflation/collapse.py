@@ -64,6 +64,18 @@ def take(lanelets: Lanelets, rows: Ints) -> Lanelets:
     return Lanelets(**{f.name: getattr(lanelets, f.name)[rows] for f in fields(Lanelets)})
 
 
+def members_as_lanelets(centerlines: Centerlines, lanelet_map: LaneletMap) -> Lanelets:
+    """The lanelets of the members, in the order of the members."""
+    found = lanes.lanelets_of(lanelet_map)
+    order = np.argsort(found.id, kind="stable")
+    return take(found, order[np.searchsorted(found.id[order], centerlines.members.lanelet_id)])
+
+
+def member_lengths_m(centerlines: Centerlines, lanelet_map: LaneletMap) -> Floats:
+    """(k,) length of the own centreline of every member."""
+    return lanes.lengths_m(lanes.centrelines(lanelet_map, members_as_lanelets(centerlines, lanelet_map)))
+
+
 def _side_by_side(
     lanelet_map: LaneletMap, lanelets: Lanelets, driving_side: Literal["right", "left"]
 ) -> _Groups:

@@ -58,7 +58,7 @@ def way_intervals(
     border = np.where(start, np.where(a <= tolerance_m, 0.0, a), a)
     finish = np.where(stop, np.where(length - b <= tolerance_m, length, b), length)
     # The reference never runs backwards: a border behind an earlier one moves up to it.
-    border = _running_maximum(border, reference)
+    border = running_maximum(border, reference)
     to = np.where(stop, np.maximum(finish, border), np.append(border[1:], 0.0)[: len(border)])
     keep = to > border
     return WayIntervals(reference[keep], border[keep], to[keep], way[first][keep],
@@ -102,7 +102,7 @@ def _on_reference(references: ReferenceLines, reference: Ints, point_m: Floats) 
     return place
 
 
-def _running_maximum(value: Floats, group: Ints) -> Floats:
+def running_maximum(value: Floats, group: Ints) -> Floats:
     """Largest value so far within each group of neighbouring rows, by doubling."""
     out, reach = value.copy(), 1
     while reach < len(out) and (group[reach:] == group[:-reach]).any():

@@ -7,7 +7,7 @@ from scipy.sparse import coo_array
 from scipy.spatial import cKDTree
 
 from flexmap_tasks.conflation.path_samples import Samples
-from flexmap_tasks.conflation.path_states import States
+from flexmap_tasks.conflation.path_states import States, best_states
 from flexmap_tasks.model.arrays import Floats, Ints
 
 CELL_M = 20.0
@@ -25,7 +25,7 @@ def displacement(samples: Samples, states: States, probability: Floats) -> tuple
     A straight road shows only how far it is displaced across, so that each place is a small least-squares
     problem over the roads around it, drawn towards the displacement of the whole map.
     """
-    best = _best_state(states, probability)
+    best = best_states(states, probability)
     sure = (states.link[best] >= 0) & (probability[best] > SURE) & ~samples.connector
     rows = np.flatnonzero(sure)
     shift = np.zeros((len(samples), 2))
@@ -44,13 +44,6 @@ def displacement(samples: Samples, states: States, probability: Floats) -> tuple
     left = np.abs(seen - np.einsum("ij,ij->i", normal, shift[rows]))
     sigma = 1.4826 * _weighted_median(left, weight)
     return shift, float(np.clip(1.25 * sigma, SIGMA_MIN_M, SIGMA_MAX_M))
-
-
-def _best_state(states: States, probability: Floats) -> Ints:
-    """(n,) the likeliest state of every sample, the first of equals."""
-    order = np.lexsort((-probability, states.sample))
-    best: Ints = order[states.offset[:-1]]
-    return best
 
 
 def _sums(normal: Floats, seen: Floats, weight: Floats, cell: Ints, n: int) -> tuple[Floats, Floats]:

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from flexmap_tasks.conflation.collapse import take
+from flexmap_tasks.conflation.collapse import members_as_lanelets
 from flexmap_tasks.geometry.lanelets import along_m, lengths_m, offsets
 from flexmap_tasks.model import lanelets as lanes
 from flexmap_tasks.model.arrays import Bools, Floats, Ints
@@ -90,13 +90,6 @@ def samples_of(centerlines: Centerlines, lanelet_map: LaneletMap, spacing_m: flo
         edges=edges,
         edge_m=edge_m,
     )  # fmt: skip
-
-
-def members_as_lanelets(centerlines: Centerlines, lanelet_map: LaneletMap) -> Lanelets:
-    """The lanelets of the members, in their order."""
-    found = lanes.lanelets_of(lanelet_map)
-    order = np.argsort(found.id, kind="stable")
-    return take(found, order[np.searchsorted(found.id[order], centerlines.members.lanelet_id)])
 
 
 def _stations(centerlines: Centerlines, line: Ints, s_m: Floats) -> tuple[Floats, Floats]:

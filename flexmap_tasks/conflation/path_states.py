@@ -54,6 +54,12 @@ class States:
         return np.repeat(np.arange(len(self.offset) - 1), np.diff(self.offset))
 
 
+def best_states(states: States, probability: Floats) -> Ints:
+    """(n,) the likeliest state of every sample, the first of equals."""
+    best: Ints = np.lexsort((-np.round(probability, 9), states.sample))[states.offset[:-1]]
+    return best
+
+
 def near_segments(samples: Samples, graph: RoadGraph, radius_m: float) -> Near:
     """All segments within the radius of every sample, through a spatial index."""
     if not len(graph.link) or not len(samples):

@@ -6,9 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from flexmap_tasks.geometry.lanelets import join, lengths_m
+from flexmap_tasks.geometry.lanelets import join
 from flexmap_tasks.model.arrays import Bools, Floats, Ints
-from flexmap_tasks.model.conflation import Centerlines
 
 SHORTEST_PIECE_M = 1e-6
 """A shorter piece is rounding, not road: it goes to its neighbour."""
@@ -28,6 +27,20 @@ class LinePieces:
     interval: Ints
     share_from: Floats
     share_to: Floats
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Homes:
+    """The line every lanelet belongs to, over the line's whole length.
+
+    lanelet_id, line : (k,) int64; backward : (k,) bool, it runs against its line
+    line_length_m : (lines,) float64
+    """
+
+    lanelet_id: Ints
+    line: Ints
+    backward: Bools
+    line_length_m: Floats
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -76,56 +89,41 @@ def line_pieces(
                       interval[d], share[0], share[1])  # fmt: skip
 
 
-def lanelet_pieces(centerlines: Centerlines, pieces: LinePieces, length_m: Floats) -> LaneletPieces:
-    """The pieces of every member lanelet, by share of the centreline's length.
+def lanelet_pieces(home: Homes, pieces: LinePieces, length_m: Floats) -> LaneletPieces:
+    """The pieces of every lanelet, by share of the length of the line it belongs to.
 
-    length_m : (k,) float64, length of each member's own centreline. A member whose centreline carries no piece
-    (it has no length) gets one over its whole length with interval -1.
+    length_m : (k,) float64, length of each lanelet's own centreline. A lanelet whose line carries no piece (it
+    has no length) gets one over its whole length with interval -1.
     """
-    members = centerlines.members
-    total = lengths_m(centerlines.offset, centerlines.xy_m)
     down = pieces.from_m > pieces.to_m
     low, high = np.minimum(pieces.from_m, pieces.to_m), np.maximum(pieces.from_m, pieces.to_m)
-    share_low, share_high = (
-        np.where(down, b, a)
-        for a, b in ((pieces.share_from, pieces.share_to), (pieces.share_to, pieces.share_from))
-    )
+    share_low = np.where(down, pieces.share_to, pieces.share_from)
+    share_high = np.where(down, pieces.share_from, pieces.share_to)
     order = np.lexsort((low, pieces.line))
-    member, at = join(members.centerline, pieces.line[order])
+    member, at = join(home.line, pieces.line[order])
     row = order[at]
-    back = members.direction[member] < 0
+    back = home.backward[member]
     first, last = _firsts(member)
-    f_low, f_high = low[row] / total[pieces.line[row]], high[row] / total[pieces.line[row]]
-    f_low = np.where(first, 0.0, f_low)
+    total = home.line_length_m[pieces.line[row]]
+    f_low = np.where(first, 0.0, low[row] / total)
     # The end of one piece is the start of the next, to the bit.
     f_high = np.where(last, 1.0, np.append(f_low[1:], 1.0)[: len(f_low)])
     length = length_m[member]
-    s_from = np.where(back, 1.0 - f_high, f_low) * length
-    s_to = np.where(back, np.where(first, 1.0, 1.0 - f_low), f_high) * length
-    share_from = np.where(back, share_high[row], share_low[row])
-    share_to = np.where(back, share_low[row], share_high[row])
-    bare = np.setdiff1d(np.arange(len(members)), member)
+    bare = np.setdiff1d(np.arange(len(home.line)), member)
     zero = np.zeros(len(bare))
-    return _ordered(
-        members.lanelet_id,
-        LaneletPieces(
-            np.concatenate([member, bare]),
-            np.concatenate([s_from, zero]),
-            np.concatenate([s_to, length_m[bare]]),
-            np.concatenate([pieces.interval[row], np.full(len(bare), -1)]),
-            np.concatenate([share_from, zero]),
-            np.concatenate([share_to, zero]),
-        ),
+    found = LaneletPieces(
+        np.concatenate([member, bare]),
+        np.concatenate([np.where(back, 1.0 - f_high, f_low) * length, zero]),
+        np.concatenate([np.where(back, 1.0 - f_low, f_high) * length, length_m[bare]]),
+        np.concatenate([pieces.interval[row], np.full(len(bare), -1)]),
+        np.concatenate([np.where(back, share_high[row], share_low[row]), zero]),
+        np.concatenate([np.where(back, share_low[row], share_high[row]), zero]),
     )
+    order = np.lexsort((found.s_from_m, home.lanelet_id[found.member]))
+    return LaneletPieces(*(getattr(found, name)[order] for name in LaneletPieces.__slots__))
 
 
 def _firsts(group: Ints) -> tuple[Bools, Bools]:
     """Whether a row is the first, the last of its group of neighbouring rows."""
     change = group[1:] != group[:-1]
     return np.append(True, change)[: len(group)], np.append(change, True)[: len(group)]
-
-
-def _ordered(lanelet_id: Ints, p: LaneletPieces) -> LaneletPieces:
-    order = np.lexsort((p.s_from_m, lanelet_id[p.member]))
-    return LaneletPieces(p.member[order], p.s_from_m[order], p.s_to_m[order], p.interval[order],
-                         p.share_from[order], p.share_to[order])  # fmt: skip

@@ -12,7 +12,7 @@ import numpy as np
 
 from flexmap_tasks.conflation.split_members import Member, MemberWriter
 from flexmap_tasks.conflation.split_places import CutPlan
-from flexmap_tasks.conflation.transfer_table import LaneletFacts
+from flexmap_tasks.conflation.transfer_facts import LaneletFacts
 from flexmap_tasks.model.arrays import Floats, Ints, strings
 from flexmap_tasks.model.maps import LaneletMap
 from flexmap_tasks.model.osm import OsmDocument, OsmNodes, OsmRelations, OsmWays, Tags, node_rows, rows_of

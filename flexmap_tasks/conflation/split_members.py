@@ -6,7 +6,7 @@ import numpy as np
 import shapely
 
 from flexmap_tasks.conflation.split_places import CutPlan
-from flexmap_tasks.conflation.transfer_table import LaneletFacts
+from flexmap_tasks.conflation.transfer_facts import LaneletFacts
 from flexmap_tasks.model.arrays import Ints
 from flexmap_tasks.model.maps import LaneletMap
 from flexmap_tasks.model.osm import node_rows, rows_of

@@ -26,7 +26,7 @@ from flexmap_tasks.conflation.split_lines import (
     turned,
 )
 from flexmap_tasks.conflation.split_wanted import Wanted
-from flexmap_tasks.conflation.transfer_table import LaneletFacts
+from flexmap_tasks.conflation.transfer_facts import LaneletFacts
 from flexmap_tasks.model.arrays import Bools, Floats, Ints
 from flexmap_tasks.model.maps import LaneletMap, Lanelets
 from flexmap_tasks.model.osm import node_rows, rows_of

@@ -8,9 +8,9 @@ from itertools import pairwise
 import numpy as np
 
 from flexmap_tasks.config import TransferParams
-from flexmap_tasks.conflation.transfer_table import LaneletFacts, Rows
+from flexmap_tasks.conflation.transfer_facts import LaneletFacts
+from flexmap_tasks.conflation.transfer_table import Rows
 from flexmap_tasks.model.arrays import Ints
-
 
 AS_IT_IS = "(as it is)"
 

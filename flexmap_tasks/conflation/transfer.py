@@ -17,14 +17,13 @@ from flexmap_tasks.conflation.lane_check import check_lanes, lane_counts
 from flexmap_tasks.conflation.split import Pieces, cut_map, whole
 from flexmap_tasks.conflation.split_places import CutPlan, plan_cuts
 from flexmap_tasks.conflation.split_wanted import Wanted, wanted_cuts
+from flexmap_tasks.conflation.transfer_facts import LaneletFacts, facts_of
 from flexmap_tasks.conflation.transfer_table import (
     Contexts,
-    LaneletFacts,
     Offers,
     Rows,
     contexts_of,
     decisions,
-    facts_of,
     offers_of,
     usable_rows,
     wrong_way,

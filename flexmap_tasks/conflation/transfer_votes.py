@@ -8,12 +8,12 @@ import numpy as np
 
 from flexmap_tasks.config import TransferParams
 from flexmap_tasks.conflation.split import Pieces
-from flexmap_tasks.conflation.transfer_table import Contexts, Decision, LaneletFacts, Offers, Rows, decisions
+from flexmap_tasks.conflation.transfer_facts import LaneletFacts
+from flexmap_tasks.conflation.transfer_table import Contexts, Decision, Offers, Rows, decisions
 from flexmap_tasks.geometry.lanelets import join
 from flexmap_tasks.model.arrays import Bools, Floats, Ints, Strings, strings
 from flexmap_tasks.model.conflation import Transfers
 from flexmap_tasks.model.maps import PlacedRoads
-
 
 WHOLE_PERCENT = 90
 """A value that holds for this share of a lanelet holds for the lanelet; below, the reason tells the share."""

@@ -20,7 +20,7 @@ WIDTH_PLACES = 9
 
 def broken_geometry(document: OsmDocument) -> dict[str, int]:
     """How often each kind of damage stands in a map."""
-    relations, ways = document.relations, document.ways
+    relations = document.relations
     rows = np.flatnonzero(relations.tags.column("type") == "lanelet")
     left, right = _bound(document, "left")[rows], _bound(document, "right")[rows]
     absent = (left < 0) | (right < 0)

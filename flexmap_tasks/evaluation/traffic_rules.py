@@ -32,11 +32,11 @@ def is_one_way(tags: Mapping[str, str]) -> bool:
 
 def speed_limit_kmh(tags: Mapping[str, str]) -> float:
     """The limit from attributes alone; 0 where the value is empty or no speed, as the library reads it."""
-    given = _override(tags, "speed_limit")
-    if given is None:
-        return DEFAULT_KMH.get((tags.get("subtype", ""), tags.get("location", "")), 0.0)
-    speed = _SPEED.fullmatch(given)
-    return float(speed[1]) * UNITS_KMH[speed[2]] if speed else 0.0
+    given = [tags[key] for key in ("speed_limit:vehicle", "speed_limit") if key in tags]
+    if not given:
+        return DEFAULT_KMH.get((tags.get("subtype", "road"), tags.get("location", "urban")), 0.0)
+    speeds = [speed for speed in map(_SPEED.fullmatch, given) if speed]
+    return float(speeds[0][1]) * UNITS_KMH[speeds[0][2]] if speeds else 0.0
 
 
 def _override(tags: Mapping[str, str], key: str) -> str | None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -29,7 +29,7 @@ Stamped = tuple[int, bytes]
 """(log time in ns, message)."""
 
 
-def write_mcap(path: Path, topics: dict[str, tuple[str, Iterable[Stamped]]]) -> None:
+def write_mcap(path: Path, topics: Mapping[str, tuple[str, Iterable[Stamped]]]) -> None:
     """Write topics {name: (ROS 2 type, messages in the order of their log time)}, merged by log time.
 
     Messages may be generators: only one of each topic is held at a time. Same messages, same bytes.
@@ -47,7 +47,7 @@ def write_mcap(path: Path, topics: dict[str, tuple[str, Iterable[Stamped]]]) -> 
         sources = [(channels[name], iter(messages)) for name, (_, messages) in topics.items()]
         for sequence, (channel, log_ns, message) in enumerate(_merged(sources)):
             writer.add_message(channel, log_ns, message, log_ns, sequence)
-        writer.finish()
+        writer.finish()  # type: ignore[no-untyped-call]
 
 
 def _merged(sources: list[tuple[int, Iterator[Stamped]]]) -> Iterator[tuple[int, int, bytes]]:
@@ -73,7 +73,7 @@ def nav_sat_fixes(
     rows = layout.add("cov_type", "<u1").rows(stamp_ns, frame_id)
     rows["status"], rows["service"] = status, SERVICE_GPS
     rows["lla"] = lonlatalt[:, [1, 0, 2]]
-    known = np.isfinite(sigma_m).all(axis=1)
+    known = np.asarray(np.isfinite(sigma_m).all(axis=1))
     rows["cov"][:, [0, 4, 8]] = np.where(known[:, None], sigma_m**2, 0.0)
     rows["cov_type"] = np.where(known, COVARIANCE_DIAGONAL, COVARIANCE_UNKNOWN)
     yield from _stamped(log_ns, rows)
@@ -98,7 +98,7 @@ POINT_KINDS = {"i1": 1, "u1": 2, "i2": 3, "u2": 4, "i4": 5, "u4": 6, "f4": 7, "f
 def point_cloud2(stamp_ns: int, frame_id: str, points: NDArray[Any]) -> bytes:
     """sensor_msgs/msg/PointCloud2 of one scan; `points` (n,) is a structured array of scalar fields."""
     out = bytearray(_Layout().header(frame_id).rows(np.array([stamp_ns]), frame_id).tobytes())
-    fields = points.dtype.fields or {}
+    fields: Mapping[str, Any] = points.dtype.fields or {}
     _integers(out, 1, len(points), len(fields))
     for name, (kind, offset, *_) in fields.items():
         _string(out, name)

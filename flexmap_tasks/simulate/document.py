@@ -18,13 +18,13 @@ class DocumentDraft:
     """Ways and relations with their tags, in the order they were added."""
 
     way_ids: list[int] = field(default_factory=list)
-    way_refs: list[Sequence[int]] = field(default_factory=list)
+    way_refs: list[Sequence[int] | Ints] = field(default_factory=list)
     way_tags: list[Mapping[str, str]] = field(default_factory=list)
     relation_ids: list[int] = field(default_factory=list)
     members: list[list[Member]] = field(default_factory=list)
     relation_tags: list[Mapping[str, str]] = field(default_factory=list)
 
-    def way(self, number: int, refs: Sequence[int], tags: Mapping[str, str]) -> int:
+    def way(self, number: int, refs: Sequence[int] | Ints, tags: Mapping[str, str]) -> int:
         """Add a way over node ids."""
         self.way_ids.append(number)
         self.way_refs.append(refs)
@@ -47,7 +47,8 @@ class DocumentDraft:
         first, n, w, r = len(other_xml), len(node_ids), len(self.way_ids), len(self.relation_ids)
         ways = OsmWays(
             np.array(self.way_ids, dtype=np.int64), _offsets(self.way_refs), _flat(self.way_refs),
-            Tags.of(extra.get(i, {}) for i in self.way_ids), Tags.of(self.way_tags), np.arange(first + n, first + n + w),
+            Tags.of(extra.get(i, {}) for i in self.way_ids), Tags.of(self.way_tags),
+            np.arange(first + n, first + n + w),
         )  # fmt: skip
         flat = [m for members in self.members for m in members]
         relations = OsmRelations(
@@ -73,10 +74,10 @@ def texts(values: Floats, form: str) -> Strings:
     return strings([form % v for v in values.tolist()])
 
 
-def _offsets(rows: Sequence[Sequence[object]]) -> Ints:
+def _offsets(rows: Sequence[Sequence[object] | Ints]) -> Ints:
     return np.concatenate([[0], np.cumsum([len(r) for r in rows])]).astype(np.int64)
 
 
-def _flat(rows: Sequence[Sequence[int]]) -> Ints:
+def _flat(rows: Sequence[Sequence[int] | Ints]) -> Ints:
     parts = [np.asarray(r, dtype=np.int64) for r in rows]
     return np.concatenate(parts) if parts else np.empty(0, dtype=np.int64)

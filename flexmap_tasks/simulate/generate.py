@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
@@ -70,7 +71,7 @@ def picked_rows(simulation: Simulation) -> Ints:
     bend[np.gradient(slam.s_m) < 0.05] = -1.0
     edges = np.linspace(0.0, slam.s_m[-1] + 1e-6, count + 1)
     rows = []
-    for a, b in zip(edges, edges[1:], strict=False):
+    for a, b in pairwise(edges):
         here = np.flatnonzero((slam.s_m >= a) & (slam.s_m < b))
         if len(here):
             rows.append(int(here[np.argmax(bend[here])]))

@@ -73,9 +73,6 @@ def missing_lanes(world: World, lanes: LaneNetwork, drive: Drive) -> set[int]:
     }
 
 
-_from(lanes:
-
-
 def joins(lanes: LaneNetwork, turn: Strip, roads: dict[int, list[Piece]]) -> bool:
     """Whether both roads of a turn are drawn at its junction."""
     for road, at_end in ((turn.road, turn.direction > 0), (turn.to_road, turn.to_direction < 0)):

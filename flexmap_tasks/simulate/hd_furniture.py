@@ -34,7 +34,7 @@ def put_furniture(drawing: Drawing, lanes: LaneNetwork, roads: dict[int, list[Pi
             if ahead and node in network.signal_nodes | network.stop_nodes:
                 _stop_line(drawing, lanes, ahead, node in network.signal_nodes)
             if node in network.crosswalk_nodes:
-                _crosswalk(drawing, lanes, road, at_end, roads[road])
+                _crosswalk(drawing, lanes, road, at_end)
 
 
 def _stop_line(drawing: Drawing, lanes: LaneNetwork, ahead: list[tuple[int, int]], light: bool) -> None:
@@ -69,7 +69,7 @@ def _stop_line(drawing: Drawing, lanes: LaneNetwork, ahead: list[tuple[int, int]
         drawing.regulatory.setdefault(row, []).append(rule)
 
 
-def _crosswalk(drawing: Drawing, lanes: LaneNetwork, road: int, at_end: bool, pieces: list[Piece]) -> None:
+def _crosswalk(drawing: Drawing, lanes: LaneNetwork, road: int, at_end: bool) -> None:
     """A crossing of 3 m over the whole road, 2 m before the junction begins."""
     line = lanes.network.roads[road]
     trim = lanes.trims[road, at_end]

@@ -9,6 +9,7 @@ import numpy as np
 from flexmap_tasks.geometry.utm import to_lonlat
 from flexmap_tasks.model.arrays import Floats, Ints, Strings, strings
 from flexmap_tasks.model.osm import OsmDocument
+from flexmap_tasks.simulate import lines
 from flexmap_tasks.simulate.chance import stream
 from flexmap_tasks.simulate.document import DocumentDraft, same_keys, texts
 from flexmap_tasks.simulate.drive import Drive
@@ -44,6 +45,16 @@ class HdMap:
     node_id: Ints
     town_xyz_m: Floats
     roads: dict[int, list[Piece]]
+
+    def fragment_length_m(self, lanelet: DrawnLanelet) -> float:
+        """Length of the middle line of a lanelet that lies on no strip."""
+        ways = self.document.ways
+        bounds = []
+        for way in (lanelet.left_way, lanelet.right_way):
+            row = way - int(ways.id[0])
+            rows = ways.ref[ways.offset[row] : ways.offset[row + 1]] - int(self.node_id[0])
+            bounds.append(self.town_xyz_m[rows])
+        return float(lines.along((bounds[0] + bounds[1]) / 2)[-1])
 
 
 def draw_map(world: World, lanes: LaneNetwork, drive: Drive, slam: SlamTrack) -> HdMap:
@@ -107,7 +118,7 @@ def _finished(
     node_id = np.arange(1, n + 1, dtype=np.int64)
     split = np.cumsum([len(r) for r in drawing.rows])[:-1]
     draft = drawing.draft
-    draft.way_refs = [node_id[p] for p in np.split(place, split)]
+    draft.way_refs = list(np.split(node_id[place], split))
     draft.way_ids = [n + i for i in draft.way_ids]
     rules = len(draft.relation_ids)
     draft.relation_ids = [n + w + 1 + i for i in draft.relation_ids]

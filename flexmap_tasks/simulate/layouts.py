@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 from scipy.spatial import Delaunay
 
@@ -143,7 +145,7 @@ def motorway(draft: Draft, plan: NetworkSettings, rng: np.random.Generator) -> N
     At the roads' ends loops lead back, so that a drive can turn.
     """
     gap, spacing = 16.0, max(plan.block_m, 420.0)
-    xs = (np.arange(plan.blocks_x) + 1) * spacing
+    xs = (np.arange(plan.blocks_x, dtype=np.float64) + 1) * spacing
     ends = np.array([0.0, (plan.blocks_x + 1) * spacing])
     east, west = _carriageway(draft, plan, ends, xs, -gap / 2), _carriageway(draft, plan, ends, xs, gap / 2)
     for k, x in enumerate(xs.tolist()):
@@ -159,7 +161,7 @@ def _carriageway(
     nodes = [draft.node(np.array([x, y + 3.0 * np.sin(x / 300.0)])) for x in stops]
     order = nodes if east else nodes[::-1]
     lanes = max(2, plan.main_lanes)
-    for a, b in zip(order, order[1:], strict=False):
+    for a, b in pairwise(order):
         xs_line = np.linspace(draft.nodes[a][0], draft.nodes[b][0], 24)
         xy = np.column_stack([xs_line, y + 3.0 * np.sin(xs_line / 300.0)])
         draft.road(Road(a, b, xy, "motorway", lanes, 0, 3.75, "", 120, "asphalt", "motorway"))
@@ -208,8 +210,6 @@ def _ramp(draft: Draft, a: int, b: int, way: float, leaving: bool) -> None:
     side /= np.hypot(*side)
     flat = along * 0.7 + np.array([0.0, (-way if leaving else way) * 0.7])
     flat /= np.hypot(*flat)
-    if leaving:
-        xy = lines.bezier(start, side, end, flat, 8.0)
-    else:
-        xy = lines.bezier(start, flat, end, side, 8.0)
+    first, last = (side, flat) if leaving else (flat, side)
+    xy = lines.bezier(start, first, end, last, 8.0)
     draft.road(Road(a, b, xy, "motorway_link", 1, 0, 3.75, "", 60, "asphalt", "ramp"))

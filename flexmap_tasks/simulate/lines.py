@@ -80,6 +80,16 @@ def bowed(start: Floats, end: Floats, bow_m: float, spacing_m: float = 10.0) -> 
     return np.asarray(start + t * chord + 4 * bow_m * t * (1 - t) * normal)
 
 
+def rounded(xy: Floats) -> Floats:
+    """The line in steps of 4 m with its corners rounded over some 25 m; the ends stay."""
+    fine = resample(xy, 4.0)
+    padded = np.vstack([np.repeat(fine[:1], 6, axis=0), fine, np.repeat(fine[-1:], 6, axis=0)])
+    kernel = np.hanning(15)[1:-1] / np.hanning(15)[1:-1].sum()
+    smooth = np.column_stack([np.convolve(padded[:, k], kernel, mode="valid") for k in range(2)])
+    smooth[0], smooth[-1] = fine[0], fine[-1]
+    return smooth
+
+
 def thinned(xy: Floats, tolerance_m: float) -> list[int]:
     """Vertices that Douglas and Peucker (1973) keep, the ends included."""
     if tolerance_m <= 0:

@@ -27,7 +27,7 @@ def make_network(world: World, draft: Draft | None = None) -> Network:
     build_features(draft, plan, lambda name: stream(world.seed, name))
     side = 1 if world.driving_side == "right" else -1
     node_xy, roads = draft.finished(side)
-    middle = node_xy.mean(axis=0)
+    middle = node_xy.mean(axis=0) if plan.layout != "osm" else np.zeros(2)
     node_xy = node_xy - middle
     ground = SmoothField(stream(world.seed, "relief"), plan.relief_length_m, 1)
     raised = [_raised(replace(r, xyz=r.xyz - middle), ground, world) for r in roads]

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.ndimage import map_coordinates
-from scipy.sparse import coo_matrix, diags
+from scipy.sparse import csr_array
 from scipy.sparse.linalg import spsolve
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
@@ -172,9 +172,12 @@ def _accumulated(steps: Floats, pairs: Ints, sigma: float, closure: str) -> Floa
         return _with_jumps(steps, pairs)
     n = len(steps)
     spread = np.maximum(np.std(steps, axis=0).mean(), 1e-9)
-    smooth = diags([np.full(n, 1.0), np.full(n - 1, -1.0)], [0, -1]).tocsr() / spread
+    steps_of = csr_array(
+        (np.repeat([1.0, -1.0], [n, n - 1]), (np.r_[0:n, 1:n], np.r_[0:n, 0 : n - 1])), shape=(n, n)
+    )
+    smooth = steps_of / spread
     rows = np.arange(len(pairs))
-    tie = coo_matrix(
+    tie = csr_array(
         (np.repeat([1.0, -1.0], len(pairs)) / sigma, (np.tile(rows, 2), pairs.T.ravel())),
         shape=(len(pairs), n),
     ).tocsr()
@@ -204,7 +207,7 @@ def _field(drive: Drive, s: Floats, shift: Floats, turn: Floats, low_m: Floats, 
     nx, ny = (np.ceil((high_m - low_m) / cell).astype(int) + 1).tolist()
     grid = np.stack(np.meshgrid(np.arange(nx), np.arange(ny)), axis=-1).reshape(-1, 2) * cell + low_m
     near_m, near = cKDTree(xy).query(grid, k=min(BLEND_POSES, len(xy)))
-    near_m, near = near_m.reshape(len(grid), -1), near.reshape(len(grid), -1)
+    near_m, near = np.reshape(near_m, (len(grid), -1)), np.reshape(near, (len(grid), -1))
     weight = np.exp((near_m[:, :1] ** 2 - near_m**2) / (2 * BLEND_M**2))
     weight /= weight.sum(axis=1, keepdims=True)
     arm = grid[:, None] - xy[near]

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from flexmap_tasks.config import Name, NonNegative, Params, Positive, Share
 
@@ -27,6 +27,7 @@ class NetworkSettings(Params):
 
     layout: Literal["grid", "radial", "organic", "motorway", "osm"] = "grid"
     topology_file: Path | None = Field(None, description="an OSM extract whose roads are taken; layout osm")
+    topology_radius_m: Positive = Field(1000.0, description="roads this near the place are taken; layout osm")
     blocks_x: Annotated[int, Field(ge=1, le=400)] = 3
     blocks_y: Annotated[int, Field(ge=1, le=400)] = 3
     block_m: Annotated[float, Field(ge=60, le=5000)] = 130.0
@@ -55,6 +56,12 @@ class NetworkSettings(Params):
     relief_m: NonNegative = Field(0.0, description="standard deviation of the ground's height")
     relief_length_m: Positive = 400.0
     clearance_m: Positive = Field(6.0, description="height of a bridge over the road below")
+
+    @model_validator(mode="after")
+    def _topology(self) -> NetworkSettings:
+        if (self.layout == "osm") != (self.topology_file is not None):
+            raise ValueError("`topology_file` belongs to layout osm, and layout osm needs it")
+        return self
 
 
 class DriveSettings(Params):
