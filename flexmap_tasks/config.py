@@ -177,6 +177,25 @@ class RubberSheetParams(Params):
     margin_share: NonNegative = Field(0.1, description="rectangle around all that moves, grown by this share")
 
 
+class PoseGraphParams(Params):
+    """Pose graph: SLAM, GNSS, revisits and control points in one adjustment."""
+
+    node_spacing_m: Positive = Field(2.5, description="SLAM poses nearer than this to the last one are carried along")
+    revisit_radius_m: NonNegative = Field(
+        5.0, description="poses of different passes this near hold each other as SLAM has them; 0 for none"
+    )
+    clock_offset_max_s: NonNegative = Field(
+        2.0, description="how far the clocks of GNSS and SLAM may be apart; 0 takes them as one"
+    )
+    antenna_up_m: float = Field(
+        0.0, allow_inf_nan=False, description="height of the antenna over the SLAM body; no drive can tell it"
+    )
+    multipath_min_m: Positive = Field(
+        0.25, description="a stretch of GNSS that stands off by more than this, and significantly, is left out"
+    )
+    blend_sigma_m: Positive = Field(8.0, description="places between poses follow all poses about this near")
+
+
 class AlignmentParams(Params):
     """How track, map and cloud come into the map frame."""
 
@@ -321,6 +340,15 @@ class TransferParams(Params):
         False, description="also cut carriageways with lanelets that are closed to cars or driven both ways"
     )
     remove_fragments: bool = Field(False, description="delete unconnected lanelets beyond OSM's lane count")
+    speed_jump_kmh: Positive = Field(
+        50.0, description="a short stretch this much faster, or slower, than before and after it goes to review"
+    )
+    speed_jump_max_m: NonNegative = Field(100.0, description="a longer stretch is believed; 0 believes all")
+    lanes_far: Annotated[int, Field(ge=1)] = Field(
+        2, description="a lane count this far from OSM's goes to review"
+    )
+    provenance_tags: bool = Field(False, description="write way, version and time beside every value: source:<key>")
+    lane_check_tags: bool = Field(False, description="write the verdict of the lane check: lane_check")
 
 
 class ConflationParams(Params):

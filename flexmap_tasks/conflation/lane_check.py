@@ -13,6 +13,9 @@ from flexmap_tasks.model.conflation import Centerlines, LaneCheck
 from flexmap_tasks.model.maps import Lanelets, PlacedRoads
 from flexmap_tasks.model.osm import rows_of
 
+NO_LANES = "OSM names no number of lanes"
+NOT_COUNTED = "the lanelet is on no centreline"
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LaneCounts:
@@ -55,17 +58,31 @@ def lane_counts(centerlines: Centerlines, lanelets: Lanelets) -> LaneCounts:
 
 
 def expected_lanes(tags: Mapping[str, str], sense: int) -> Expected:
-    """Lanes of a way for a lanelet along it (`sense` +1) or against it (-1)."""
-    side = "forward" if sense > 0 else "backward"
+    """Lanes of a way for a lanelet along it (`sense` +1) or against it (-1).
+
+    From `lanes:forward` or `lanes:backward`, else `lanes`, else the number of entries of `turn:lanes`. Bus
+    lanes are lanes, as OSM counts them; cycle lanes and shoulders are none.
+    """
     one_way = bool(one_way_sense(tags))
-    for key, one_direction in ((f"lanes:{side}", True), ("lanes", one_way)):
-        text = tags.get(key, "").strip()
-        if text:
-            lanes = count(text)
-            if lanes is None:
-                return Expected(-1, one_direction, f"{key}={text[:40]} is no number of lanes")
-            return Expected(lanes, one_direction, f"{key}={lanes}")
-    return Expected(-1, False, "OSM names no number of lanes")
+    side, other = ("forward", "backward") if sense > 0 else ("backward", "forward")
+    keys = ("lanes", f"lanes:{side}", f"lanes:{other}", "lanes:both_ways")
+    said = {key: tags[key].strip() for key in keys if tags.get(key, "").strip()}
+    numbers = {key: count(text) for key, text in said.items()}
+    bad = [key for key, number in numbers.items() if number is None]
+    if bad:
+        return Expected(-1, False, f"{bad[0]}={said[bad[0]][:40]} is no number of lanes")
+    lanes = {key: number for key, number in numbers.items() if number is not None}
+    total, parts = lanes.get("lanes"), sum(n for key, n in lanes.items() if key != "lanes")
+    if total is not None and {f"lanes:{side}", f"lanes:{other}"} <= lanes.keys() and total != parts:
+        return Expected(-1, False, f"lanes={total}, but its parts make {parts}")
+    if f"lanes:{side}" in lanes:
+        return Expected(lanes[f"lanes:{side}"], True, f"lanes:{side}={lanes[f'lanes:{side}']}")
+    if total is not None:
+        return Expected(total, one_way, f"lanes={total}")
+    for key in (f"turn:lanes:{side}", "turn:lanes") if one_way else (f"turn:lanes:{side}",):
+        if tags.get(key, "").strip():
+            return Expected(tags[key].count("|") + 1, True, f"{key}={tags[key][:40]}")
+    return Expected(-1, False, NO_LANES)
 
 
 def check_lanes(
@@ -97,7 +114,11 @@ def check_lanes(
     verdict = np.where(unmatched, "unmatched", np.where(unknown, "unknown", verdict))
     where = np.where(one_direction, "in its direction", "in all")
     reason = [
-        table[a].reason if n < 0 or o < 0 else f"{table[a].reason}, the map has {n} {w}"
+        NOT_COUNTED
+        if n < 0 and o >= 0
+        else table[a].reason
+        if o < 0
+        else f"{table[a].reason}, the map has {n} {w}"
         for a, n, o, w in zip(
             at.tolist(), lanes_map.tolist(), lanes_osm.tolist(), where.tolist(), strict=True
         )

@@ -107,7 +107,8 @@ def states_of(
     spread2 = sigma_m**2 + _junction_m(samples)[sample] ** 2
     angle = np.degrees(np.arccos(np.clip(np.abs(cos), 0.0, 1.0)))
     angle_scale = params.angle_sigma_deg + 0.4 * np.minimum(samples.turn_deg, 120.0)[sample]
-    cost = np.minimum(np.einsum("ij,ij->i", rest, rest) / spread2 / 2, MISFIT_MAX)
+    # Student's t with three degrees of freedom: here and there a road is far more displaced than the rest.
+    cost = 2.0 * np.log1p(np.einsum("ij,ij->i", rest, rest) / spread2 / 3.0)
     cost = cost + np.minimum((angle / angle_scale) ** 2 / 2, MISFIT_MAX)
     cost = cost + link_cost[link] + params.wrong_way_cost * (along_way < 0)
     s = graph.s_m[segment] + t * length

@@ -13,10 +13,11 @@ import numpy as np
 
 from flexmap_tasks.config import TransferParams
 from flexmap_tasks.conflation.fragments import Removed, fragments, without
-from flexmap_tasks.conflation.lane_check import check_lanes, lane_counts
+from flexmap_tasks.conflation.lane_check import NO_LANES, NOT_COUNTED, check_lanes, lane_counts
 from flexmap_tasks.conflation.split import Pieces, cut_map, whole
 from flexmap_tasks.conflation.split_places import CutPlan, plan_cuts
 from flexmap_tasks.conflation.split_wanted import Wanted, wanted_cuts
+from flexmap_tasks.conflation.transfer_doubt import doubt_speed_jumps, far_lane_counts
 from flexmap_tasks.conflation.transfer_facts import LaneletFacts, facts_of
 from flexmap_tasks.conflation.transfer_table import (
     Contexts,
@@ -33,6 +34,7 @@ from flexmap_tasks.engine.stage import stage
 from flexmap_tasks.model.arrays import Bools, Ints, Strings, strings
 from flexmap_tasks.model.conflation import Centerlines, Enriched, LaneCheck, Matches, Transfers
 from flexmap_tasks.model.maps import Findings, LaneletMap, PlacedRoads
+from flexmap_tasks.model.osm import rows_of
 
 
 @stage("enriched")
@@ -42,10 +44,11 @@ def transfer(
     matches: Matches,
     roads: PlacedRoads,
     params: TransferParams,
+    last_release: LaneletMap | None = None,
 ) -> Enriched:
     """The map with OSM's values on the lanelets, what was done and why, and the lane check.
 
-    Ids of lanelets, ways and nodes stay; a lanelet that is cut keeps its id for the first piece.
+    With the map of the last release, values that a person has changed in `lanelet_map` since then stay. Ids of lanelets, ways and nodes stay; a lanelet that is cut keeps its id for the first piece.
     """
     facts = facts_of(lanelet_map)
     removed: list[Removed] = []
@@ -55,17 +58,18 @@ def transfer(
         facts = facts_of(lanelet_map)
     rows = usable_rows(matches, facts, roads, params)
     against = wrong_way(rows, facts, roads)
-    offers, contexts = offers_of(rows, roads, params), contexts_of(facts, params)
+    offers, contexts = offers_of(rows, roads, params), contexts_of(facts, params, last_release)
     sure = rows.sure & ~against
     wanted = _wanted(rows, sure, offers, contexts, facts, params) if params.split else []
     plan = plan_cuts(lanelet_map, facts, wanted, params)
     cut, pieces = cut_map(lanelet_map, facts, plan)
     judged = Judged(rows, sure, _why_not(rows, against), offers, contexts, facts, pieces, roads)
-    values = transfers(judged, params)
-    table = joined([values, _cuts(rows, plan, facts, pieces, roads), _removals(removed, roads)])
+    values = doubt_speed_jumps(transfers(judged, params), cut, pieces, params)
     check = _lane_check(rows.take(sure), facts, pieces, centerlines, roads)
+    far = far_lane_counts(check, pieces, facts.lanelets.id[pieces.source], roads, params.lanes_far)
+    table = joined([values, far, _cuts(rows, plan, facts, pieces, roads), _removals(removed, roads)])
     return Enriched(
-        map=_written(cut, pieces, values),
+        map=_written(cut, pieces, values, check, params),
         transfers=ordered(table, np.unique(table.key.astype(str), return_inverse=True)[1]),
         lane_check=check,
         findings=_findings(judged, against, check, params),
@@ -94,16 +98,32 @@ def _why_not(rows: Rows, against: Bools) -> Strings:
     return strings(np.where(against, "the lanelet runs against the one-way road", unsure).tolist())
 
 
-def _written(cut: LaneletMap, pieces: Pieces, values: Transfers) -> LaneletMap:
-    """The map with every value whose action is "set"."""
+def _written(
+    cut: LaneletMap, pieces: Pieces, values: Transfers, check: LaneCheck, params: TransferParams
+) -> LaneletMap:
+    """The map with every value whose action is "set", and what else was asked for."""
     at = np.flatnonzero(values.action == "set")
-    if not len(at):
+    ids, keys, texts = values.lanelet_id[at], values.key[at], values.new[at]
+    if params.provenance_tags:
+        ids = np.concatenate([ids, ids])
+        keys = np.concatenate([keys, strings(f"source:{key}" for key in keys)])
+        texts = np.concatenate([texts, _provenance(values, at)])
+    if params.lane_check_tags:
+        ids = np.concatenate([ids, check.lanelet_id])
+        keys = np.concatenate([keys, strings(["lane_check"] * len(check.lanelet_id))])
+        texts = np.concatenate([texts, check.verdict])
+    if not len(ids):
         return cut
-    order = np.argsort(pieces.lanelet_id, kind="stable")
-    place = order[np.searchsorted(pieces.lanelet_id[order], values.lanelet_id[at])]
     relations = cut.document.relations
-    tags = relations.tags.with_values(pieces.relation_row[place], values.key[at], values.new[at])
+    rows = pieces.relation_row[rows_of(pieces.lanelet_id, ids)]
+    tags = relations.tags.with_values(rows, keys, texts)
     return replace(cut, document=replace(cut.document, relations=replace(relations, tags=tags)))
+
+
+def _provenance(values: Transfers, at: Ints) -> Strings:
+    """Where each value comes from, such as "OpenStreetMap way 100 v3 2023-11-01T00:00:00Z"."""
+    columns = (values.way_id[at].tolist(), values.way_version[at].tolist(), values.way_timestamp[at].tolist())
+    return strings(f"OpenStreetMap way {w} v{v} {t}".rstrip() for w, v, t in zip(*columns, strict=True))
 
 
 def _cuts(rows: Rows, plan: CutPlan, facts: LaneletFacts, pieces: Pieces, roads: PlacedRoads) -> Transfers:
@@ -188,9 +208,8 @@ def _findings(j: Judged, against: Bools, check: LaneCheck, params: TransferParam
             value = j.offers.values[j.offers.code[row, i]]
             text = f"{rule.key}={value.value}: {value.problem}"
             found.add(("osm-value-not-used", "info", "road", int(network.way_id[j.rows.road[row]]), text))
-    unread = np.flatnonzero((check.verdict == "unknown") & (check.way_id != 0))
-    for row in unread.tolist():
-        if "is no number" in str(check.reason[row]):
+    for row in np.flatnonzero(check.verdict == "unknown").tolist():
+        if check.reason[row] not in (NO_LANES, NOT_COUNTED):
             found.add(("osm-value-not-used", "info", "road", int(check.way_id[row]), str(check.reason[row])))
     return _table(sorted(found))
 

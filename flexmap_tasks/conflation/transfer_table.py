@@ -19,8 +19,8 @@ from flexmap_tasks.conflation.osm_values import (
 from flexmap_tasks.conflation.transfer_facts import LaneletFacts
 from flexmap_tasks.model.arrays import Bools, Floats, Ints
 from flexmap_tasks.model.conflation import Matches
-from flexmap_tasks.model.maps import PlacedRoads
-from flexmap_tasks.model.osm import rows_of
+from flexmap_tasks.model.maps import LaneletMap, PlacedRoads
+from flexmap_tasks.model.osm import Tags, rows_of
 
 ROAD_SUBTYPES = ("", "road", "highway", "play_street")
 """Subtypes that a road's class may replace; every other one says more than the road does."""
@@ -117,7 +117,7 @@ def offers_of(rows: Rows, roads: PlacedRoads, params: TransferParams) -> Offers:
     for road, sense in pairs.tolist():
         tags = roads.network.tags.of_element(road)
         found.append([offer(rule, tags, sense, params) for rule in params.rules])
-    plain = [[replace(o, also="") for o in line] for line in found]
+    plain = [[replace(o, also="") if o.also else o for o in line] for line in found]
     values = sorted(
         {o for line in plain for o in line} | {NOTHING}, key=lambda o: (o.value, o.weak, o.problem)
     )
@@ -131,11 +131,17 @@ def offers_of(rows: Rows, roads: PlacedRoads, params: TransferParams) -> Offers:
 
 @dataclass(frozen=True, slots=True)
 class Case:
-    """A lanelet as a decision sees it: its tags, whether cars may use it, what a speed limit rule says of it."""
+    """A lanelet as a decision sees it.
+
+    tags : as they are; open_to_cars : cars may use it
+    speed_rule : what a speed limit rule of the map says of it, see `LaneletFacts`
+    released : its tags in the last release, None where it had none
+    """
 
     tags: Mapping[str, str]
     open_to_cars: bool = True
     speed_rule: str = ""
+    released: Mapping[str, str] | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -149,22 +155,42 @@ class Contexts:
     lanelets: tuple[Case, ...]
 
 
-def contexts_of(facts: LaneletFacts, params: TransferParams) -> Contexts:
-    """Lanelets with the same subtype and the same values under every rule decide alike."""
+def contexts_of(
+    facts: LaneletFacts, params: TransferParams, last_release: LaneletMap | None = None
+) -> Contexts:
+    """Lanelets with the same subtype and the same values under every rule, now and released, decide alike."""
     keys = sorted({rule.target for rule in params.rules} | {"subtype"})
-    columns = [facts.tags.column(key) for key in keys]
+    now = _values(facts.tags, keys, np.arange(len(facts.lanelets)))
+    before = [None] * len(now) if last_release is None else _released(last_release, keys, facts)
     codes: dict[tuple[object, ...], int] = {}
-    rows = zip(facts.open_to_cars.tolist(), facts.speed_rule.tolist(), *columns, strict=True)
-    code = np.fromiter((codes.setdefault(row, len(codes)) for row in rows), np.int64, len(facts.lanelets))
-    lanelets = [
-        Case(
-            {k: str(v) for k, v in zip(keys, row[2:], strict=True) if v is not None},
-            bool(row[0]),
-            str(row[1]),
-        )
-        for row in codes
-    ]
+    lanelets: list[Case] = []
+    code = np.zeros(len(now), dtype=np.int64)
+    rows = zip(now, before, facts.open_to_cars.tolist(), facts.speed_rule.tolist(), strict=True)
+    for k, (tags, released, open_to_cars, speed_rule) in enumerate(rows):
+        at = codes.setdefault((tags, released, open_to_cars, speed_rule), len(codes))
+        if at == len(lanelets):
+            old = None if released is None else _mapping(keys, released)
+            lanelets.append(Case(_mapping(keys, tags), open_to_cars, speed_rule, old))
+        code[k] = at
     return Contexts(code, tuple(lanelets))
+
+
+def _values(tags: Tags, keys: list[str], rows: Ints) -> list[tuple[str | None, ...]]:
+    return list(zip(*(tags.column(key)[rows].tolist() for key in keys), strict=True))
+
+
+def _released(
+    last_release: LaneletMap, keys: list[str], facts: LaneletFacts
+) -> list[tuple[str | None, ...] | None]:
+    relations = last_release.document.relations
+    row = rows_of(relations.id, facts.lanelets.id)
+    known = (row >= 0) & (relations.tags.column("type") == "lanelet")[row]
+    values = _values(relations.tags, keys, row)
+    return [v if k else None for v, k in zip(values, known.tolist(), strict=True)]
+
+
+def _mapping(keys: list[str], values: tuple[str | None, ...]) -> dict[str, str]:
+    return {key: value for key, value in zip(keys, values, strict=True) if value is not None}
 
 
 def decisions(
@@ -198,8 +224,20 @@ def decide(rule: TransferRule, offered: Offer, lanelet: Case) -> Decision:
         return Decision(
             "review", offered.value, f"a speed limit rule of the map says {ruled}, a tag has no effect"
         )
-    action, reason = _held(rule, old, offered.value)
+    action, reason = _edited(rule, lanelet, offered.value) or _held(rule, old, offered.value)
     return Decision(action, offered.value, reason or ("an assumption" if offered.weak else ""))
+
+
+def _edited(rule: TransferRule, lanelet: Case, new: str) -> tuple[str, str] | None:
+    """Action and reason where a person has changed the value since the last release; their word stands."""
+    if lanelet.released is None:
+        return None
+    then = lanelet.released.get(rule.target, "")
+    if then == lanelet.tags.get(rule.target, ""):
+        return None
+    if same_value(rule, then, new):
+        return "keep", "changed by a person since the last release, OSM says what it said then"
+    return "review", f"changed by a person since the last release, which said {then or 'nothing'}"
 
 
 def _held(rule: TransferRule, old: str, new: str) -> tuple[str, str]:

@@ -11,7 +11,7 @@ YES, NO = ("yes", "true", "1"), ("no", "false", "0")
 DEFAULT_KMH = {
     ("road", "urban"): 50.0, ("road", "nonurban"): 100.0, ("highway", "urban"): 130.0,
     ("highway", "nonurban"): 130.0, ("play_street", "urban"): 7.0, ("play_street", "nonurban"): 7.0,
-    ("exit", "urban"): 50.0,
+    ("exit", "urban"): 50.0, ("bus_lane", "urban"): 50.0, ("bus_lane", "nonurban"): 100.0,
 }  # fmt: skip
 """Limits by subtype and location where no speed_limit is given; 0 for all others."""
 UNITS_KMH = {"": 1.0, "km/h": 1.0, "kmh": 1.0, "mph": 1.609344, "m/s": 3.6}

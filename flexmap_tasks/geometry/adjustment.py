@@ -8,13 +8,13 @@ Cauchy's kernel.
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Generic, NamedTuple, Protocol, Self, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
+from scipy.sparse.linalg import SuperLU
 
-from flexmap_tasks.geometry.graph2d import State
 from flexmap_tasks.geometry.normal_equations import factor, inverse_on_pattern
 
 Floats = NDArray[np.float64]
@@ -24,54 +24,73 @@ _CAUCHY = 2.385
 """Kernel width at which Cauchy keeps 95 % efficiency on Gaussian noise (Holland and Welsch 1977)."""
 
 
+class Unknowns(Protocol):
+    """What is adjusted."""
+
+    def moved(self, step: Floats) -> Self:
+        """The unknowns after a correction of all of them."""
+        ...
+
+
+S = TypeVar("S", bound=Unknowns)
+
+
 class Group(NamedTuple):
     """Observations with one common noise scale.
 
     residual : (r,) in units of `unit`; jacobian : (r, u); unit : (r,) assumed standard deviation of each row
-    at scale 1; estimate : whether the scale is to be found; robust : (r,) int64 rows with equal numbers share
-    one robust weight, or None for none at all
+    at scale 1; robust : (r,) int64 rows with equal numbers share one robust weight, or None for none at all
+    scale_of : the group whose noise scale holds here; itself when the scale is to be found, -1 when it is 1
     """
 
     residual: Floats
     jacobian: sparse.csr_matrix
     unit: Floats
-    estimate: bool
     robust: Ints | None
+    scale_of: int
 
 
-class Solution(NamedTuple):
-    """state; scale : noise scale of every group; inverse : entries of the covariance; weight : per group."""
+class Solution(NamedTuple, Generic[S]):
+    """What an adjustment found.
 
-    state: State
+    state : the unknowns; scale : (g,) noise scale of every group; weight : robust weights of every group
+    groups : the observations before the last step; step : that last step
+    inverse : covariance of the unknowns, on the pattern of the factor; lu : the factor itself
+    """
+
+    state: S
     scale: Floats
-    inverse: sparse.csc_matrix
     weight: list[Floats]
+    groups: list[Group]
+    step: Floats
+    inverse: sparse.csc_matrix
+    lu: SuperLU
 
 
 def adjust(
-    state: State, groups: Callable[[State], list[Group]], scale: Floats, rounds: int, floor: Floats
-) -> Solution:
-    """Alternate one Gauss-Newton step and one estimate of the noise scales.
+    state: S, groups: Callable[[S], list[Group]], scale: Floats, floor: Floats, rounds: int
+) -> Solution[S]:
+    """Gauss-Newton with the noise scales estimated `rounds` times on the way; a last step ends it.
 
-    groups : the observations, linearised at a state; floor : (g,) smallest noise scale of every group
+    groups : the observations, linearised at a state; scale : (g,) where the noise scales start
+    floor : (g,) the smallest value of every noise scale
     Raises RuntimeError when the observations do not determine the unknowns.
     """
-    scale = scale.copy()
-    for k in range(rounds + 1):
+    for left in range(2 * rounds, -1, -1):
         observed = groups(state)
+        scale = np.array([scale[g.scale_of] if g.scale_of >= 0 else 1.0 for g in observed])
         weight = [_weights(g, s) for g, s in zip(observed, scale, strict=True)]
         normal, right = _normal(observed, scale, weight)
         lu = factor(normal)
         step = -lu.solve(right)
         if not np.isfinite(step).all():
-            raise RuntimeError("singular")
+            raise RuntimeError("the observations do not determine the unknowns")
         state = state.moved(step)
-        last = k == rounds
-        if last or k % 2 == 1:
+        if left % 2 == 0:  # scales change slowly: every second step is enough
             inverse = inverse_on_pattern(lu)
-            if not last:
+            if left:
                 scale = _estimated(observed, scale, weight, step, inverse, floor)
-    return Solution(state, scale, inverse, weight)
+    return Solution(state, scale, weight, observed, step, inverse, lu)
 
 
 def _weights(group: Group, scale: float) -> Floats:
@@ -102,7 +121,7 @@ def _estimated(
 ) -> Floats:
     new = scale.copy()
     for k, (group, w) in enumerate(zip(groups, weight, strict=True)):
-        if not group.estimate or len(group.residual) == 0:
+        if group.scale_of != k or len(group.residual) == 0:
             continue
         p = w / group.unit**2
         after = group.residual + group.jacobian @ step

@@ -110,7 +110,8 @@ def _nearest(graph: csr_array, here: int, wanted: Bools, bonus_m: Floats) -> lis
     """The way from `here` to the nearest wanted strip, without `here`; a bonus makes a strip seem nearer."""
     limit = 2 * FEATURE_PULL_M
     while True:
-        distance, before = dijkstra(graph, indices=np.int64(here), return_predecessors=True, limit=limit)
+        found = dijkstra(graph, indices=np.array([here]), return_predecessors=True, limit=limit)
+        distance, before = found[0][0], found[1][0]
         reached = np.flatnonzero(wanted & np.isfinite(distance) & (np.arange(len(distance)) != here))
         if len(reached) or limit > 1e9:
             break

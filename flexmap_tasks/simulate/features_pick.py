@@ -12,6 +12,7 @@ from flexmap_tasks.simulate.roads import Draft
 
 
 def shuffled(items: Iterable[int], rng: np.random.Generator) -> list[int]:
+    """The items in an order of chance that does not depend on the order they come in."""
     rows = np.array(sorted(items), dtype=np.int64)
     return [int(v) for v in rng.permutation(rows)]
 

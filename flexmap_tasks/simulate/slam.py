@@ -18,7 +18,7 @@ from flexmap_tasks.simulate.world import SlamSettings, World
 
 STEP_M = 1.0
 REVISIT_M, REVISIT_APART_M, CLOSURE_SIGMA_M = 6.0, 60.0, 0.02
-BLEND_M, BLEND_POSES, CELL_M = 12.0, 40, 5.0
+BLEND_M, BLEND_POSES, BLEND_ROWS, CELL_M = 12.0, 40, 20_000, 5.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -133,8 +133,8 @@ def _drift(world: World, drive: Drive) -> tuple[Floats, Floats, Floats, Floats]:
     keep = np.concatenate([[True], np.diff(drive.s_m) > 0])
     xyz = np.column_stack([np.interp(s, drive.s_m[keep], drive.xyz_m[keep, k]) for k in range(3)])
     root = np.sqrt(STEP_M)
-    turn_steps = rng.normal(0.0, 1e-3 * plan.yaw_walk_mrad_per_m * root, len(s))
-    dip_steps = rng.normal(0.0, 1e-3 * plan.pitch_walk_mrad_per_m * root, len(s))
+    turn_steps = rng.normal(0.0, 1e-3 * plan.yaw_walk_mrad_per_sqrt_m * root, len(s))
+    dip_steps = rng.normal(0.0, 1e-3 * plan.pitch_walk_mrad_per_sqrt_m * root, len(s))
     scale = plan.scale_sigma * walk(rng, s, plan.scale_length_m)
     jitter = rng.normal(0.0, plan.position_walk_m_per_sqrt_m * root, (len(s), 3)) * np.array([1.0, 1.0, 0.5])
     turn_steps[0] = dip_steps[0] = 0.0
@@ -206,13 +206,19 @@ def _field(drive: Drive, s: Floats, shift: Floats, turn: Floats, low_m: Floats, 
     cell = max(CELL_M, float((high_m - low_m).max()) / 1500.0)
     nx, ny = (np.ceil((high_m - low_m) / cell).astype(int) + 1).tolist()
     grid = np.stack(np.meshgrid(np.arange(nx), np.arange(ny)), axis=-1).reshape(-1, 2) * cell + low_m
-    near_m, near = cKDTree(xy).query(grid, k=min(BLEND_POSES, len(xy)))
-    near_m, near = np.reshape(near_m, (len(grid), -1)), np.reshape(near, (len(grid), -1))
+    tree = cKDTree(xy)
+    parts = [_blended(part, tree, xy, shift, turn) for part in np.array_split(grid, len(grid) // BLEND_ROWS + 1)]
+    return DriftField(low_m, cell, np.vstack(parts).reshape(ny, nx, 3))
+
+
+def _blended(places: Floats, tree: cKDTree, xy: Floats, shift: Floats, turn: Floats) -> Floats:
+    """(n, 3) blend of the corrections of the poses nearest to each place (n, 2)."""
+    near_m, near = tree.query(places, k=min(BLEND_POSES, len(xy)))
+    near_m, near = np.reshape(near_m, (len(places), -1)), np.reshape(near, (len(places), -1))
     weight = np.exp((near_m[:, :1] ** 2 - near_m**2) / (2 * BLEND_M**2))
     weight /= weight.sum(axis=1, keepdims=True)
-    arm = grid[:, None] - xy[near]
+    arm = places[:, None] - xy[near]
     c, sn = np.cos(turn[near]) - 1.0, np.sin(turn[near])
     east = shift[near, 0] + c * arm[..., 0] - sn * arm[..., 1]
     north = shift[near, 1] + sn * arm[..., 0] + c * arm[..., 1]
-    offset = np.column_stack([(weight * v).sum(axis=1) for v in (east, north, shift[near, 2])])
-    return DriftField(low_m, cell, offset.reshape(ny, nx, 3))
+    return np.column_stack([(weight * v).sum(axis=1) for v in (east, north, shift[near, 2])])

@@ -119,8 +119,8 @@ class SlamSettings(Params):
 
     rate_hz: Annotated[float, Field(ge=0.1, le=100)] = 10.0
     keyframe_m: NonNegative = Field(0.0, description="a pose only after this distance; 0 keeps all")
-    yaw_walk_mrad_per_m: NonNegative = 0.3
-    pitch_walk_mrad_per_m: NonNegative = 0.1
+    yaw_walk_mrad_per_sqrt_m: NonNegative = 0.3
+    pitch_walk_mrad_per_sqrt_m: NonNegative = 0.1
     scale_sigma: Annotated[float, Field(ge=0, le=0.05)] = Field(0.002, description="slowly varying")
     scale_length_m: Positive = 500.0
     position_walk_m_per_sqrt_m: NonNegative = 0.004
@@ -230,7 +230,7 @@ class World(Params):
                  "standstill_sigma_m", "altitude_bias_m", "clock_offset_s"), 0
             ) | {"lever_arm_m": (0.0, 0.0, 0.0), "covariance": "honest"},
             slam=dict.fromkeys(
-                ("yaw_walk_mrad_per_m", "pitch_walk_mrad_per_m", "scale_sigma", "position_walk_m_per_sqrt_m",
+                ("yaw_walk_mrad_per_sqrt_m", "pitch_walk_mrad_per_sqrt_m", "scale_sigma", "position_walk_m_per_sqrt_m",
                  "position_noise_m", "angle_noise_mrad", "tilt_roll_deg", "tilt_pitch_deg"), 0
             ),
             cloud={"noise_m": 0},

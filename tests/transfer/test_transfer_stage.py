@@ -4,9 +4,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from transfer_worlds import Draft, along_x, matches_of, members_of, road, roads_of, rows, run, tags_of
+from transfer_worlds import Draft, along_x, edited, matches_of, members_of, road, roads_of, rows, run, tags_of
 
 from flexmap_tasks.config import TransferParams, TransferRule
+from flexmap_tasks.conflation.lane_check import expected_lanes
 from flexmap_tasks.model.lanelets import lanelets_of
 
 
@@ -192,8 +193,8 @@ def test_lane_check_by_direction(tmp_path: Path) -> None:
     drawn = road(draft, [50.0, 50.0, 50.0, 50.0, 50.0], 2, 1)
     before = draft.read(tmp_path)
     tags = [
-        {"lanes": "3"}, {"lanes": "2"}, {"lanes": "3", "lanes:forward": "2", "lanes:backward": "2"},
-        {"lanes": "variable"}, {},
+        {"lanes": "3"}, {"lanes": "2"}, {"lanes:forward": "2", "lanes:backward": "2"},
+        {"lanes": "variable"}, {"lanes": "3", "lanes:forward": "2", "lanes:backward": "2"},
     ]  # fmt: skip
     after = run(before, along_x(before, [50.0, 100.0, 150.0, 200.0]), roads_of(tags))
     check = dict(zip(after.lane_check.lanelet_id.tolist(), after.lane_check.verdict.tolist(), strict=True))
@@ -201,8 +202,77 @@ def test_lane_check_by_direction(tmp_path: Path) -> None:
     back = [check[s[0]] for s in drawn.backward]
     assert ahead == ["agree", "differ", "agree", "unknown", "unknown"]
     assert back == ["agree", "differ", "differ", "unknown", "unknown"]
-    assert "lanes=variable is no number of lanes" in after.lane_check.reason.tolist()
-    assert after.findings.message.tolist() == ["lanes=variable is no number of lanes"]
+    assert {"lanes=variable is no number of lanes", "lanes=3, but its parts make 4"} <= set(
+        after.lane_check.reason
+    )
+    assert set(after.findings.message) == {
+        "lanes=variable is no number of lanes",
+        "lanes=3, but its parts make 4",
+    }
+
+
+@pytest.mark.parametrize(
+    ("tags", "sense", "lanes"),
+    [
+        ({"turn:lanes": "left|through|right", "oneway": "yes"}, 1, 3),
+        ({"turn:lanes": "left|through|right"}, 1, -1),
+        ({"turn:lanes:backward": "left|through"}, -1, 2),
+        ({"lanes": "4", "turn:lanes:forward": "left|through|right"}, 1, 4),
+        ({"lanes": "2;3"}, 1, -1),
+        ({"lanes": " 2 "}, 1, 2),
+        ({}, 1, -1),
+    ],
+)
+def test_expected_lanes(tags: dict[str, str], sense: int, lanes: int) -> None:
+    assert expected_lanes(tags, sense).lanes == lanes
+
+
+def test_a_lane_count_far_off_is_for_a_person(tmp_path: Path) -> None:
+    before, *_ = one_road(tmp_path)
+    after = run(before, along_x(before, []), roads_of([{"lanes": "5"}]))
+    assert [(r["old"], r["new"], r["action"]) for r in rows(after, key="lanes")] == [("2", "5", "review")] * 2
+    near = run(before, along_x(before, []), roads_of([{"lanes": "3"}]))
+    assert not rows(near, key="lanes")
+
+
+@pytest.mark.parametrize(
+    ("limits", "believed"),
+    [
+        ((50, 130, 50), False),
+        ((80, 20, 70), False),
+        ((50, 90, 50), True),
+        ((50, 130, 130), True),
+        ((50, 130, 100), True),
+    ],
+)
+def test_a_short_stretch_that_stands_out_is_for_a_person(
+    tmp_path: Path, limits: tuple[int, ...], believed: bool
+) -> None:
+    draft = Draft()
+    drawn = road(draft, [200.0, 60.0, 200.0], 1, 1)
+    before = draft.read(tmp_path)
+    roads = roads_of([{"maxspeed": str(v)} for v in limits])
+    after = run(before, along_x(before, [200.0, 260.0]), roads)
+    middle = [drawn.forward[1][0], drawn.backward[1][0]]
+    assert [tags_of(after.map, x)["speed_limit"] for x in middle] == [
+        str(limits[1]) if believed else "10"
+    ] * 2
+    assert bool(rows(after, lanelet_id=middle[0], key="speed_limit", action="review")) != believed
+    long = run(before, along_x(before, [200.0, 260.0]), roads, TransferParams(speed_jump_max_m=10.0))
+    assert tags_of(long.map, middle[0])["speed_limit"] == str(limits[1])
+
+
+def test_provenance_and_verdict_as_tags(tmp_path: Path) -> None:
+    before, ahead, _ = one_road(tmp_path)
+    params = TransferParams(provenance_tags=True, lane_check_tags=True)
+    roads = roads_of([{"maxspeed": "50", "lanes": "2"}])
+    once = run(before, along_x(before, []), roads, params)
+    tags = tags_of(once.map, ahead)
+    assert tags["source:speed_limit"] == "OpenStreetMap way 100 v1 2023-11-01T00:00:00Z"
+    assert tags["lane_check"] == "agree"
+    assert set(tags) - set(tags_of(before, ahead)) == {"source:speed_limit", "lane_check"}
+    twice = run(once.map, along_x(once.map, []), roads, params)
+    assert twice.map.document.relations.tags.value.tolist() == once.map.document.relations.tags.value.tolist()
 
 
 def test_lane_check_of_a_one_way_road_looks_at_its_direction(tmp_path: Path) -> None:
@@ -266,3 +336,38 @@ def test_a_speed_limit_rule_of_the_map_decides(tmp_path: Path) -> None:
     after = run(before, along_x(before, []), roads_of([{"maxspeed": "50"}]))
     assert [tags_of(after.map, x)["speed_limit"] for x in lanes] == ["10", "10"]
     assert [rows(after, lanelet_id=x)[0]["action"] for x in lanes] == ["keep", "review"]
+
+
+@pytest.mark.parametrize(
+    ("now", "person", "kept", "action"),
+    [
+        ("50", "40", "40", "keep"),
+        ("70", "40", "40", "review"),
+        ("70", None, "70", "set"),
+        ("70", "70", "70", "keep"),
+    ],
+)
+def test_what_a_person_changed_since_the_last_release_stays(
+    tmp_path: Path, now: str, person: str | None, kept: str, action: str
+) -> None:
+    before, ahead, back = one_road(tmp_path)
+    released = run(before, along_x(before, []), roads_of([{"maxspeed": "50", "name": "A"}])).map
+    changed = released if person is None else edited(released, ahead, "speed_limit", person)
+    news = roads_of([{"maxspeed": now, "name": "A"}])
+    after = run(changed, along_x(changed, []), news, last_release=released)
+    assert tags_of(after.map, ahead)["speed_limit"] == kept
+    assert tags_of(after.map, back)["speed_limit"] == now
+    assert [r["action"] for r in rows(after, lanelet_id=ahead, key="speed_limit")] == [action]
+    assert not rows(after, key="road_name", action="set")
+
+
+def test_a_new_extract_changes_only_what_it_changed(tmp_path: Path) -> None:
+    before, ahead, back = one_road(tmp_path)
+    then, now = (
+        [{"maxspeed": "50", "surface": "sett"}] * 2,
+        [{"maxspeed": "50", "surface": "sett"}, {"maxspeed": "30", "surface": "sett"}],
+    )
+    released = run(before, along_x(before, [40.0]), roads_of(then)).map
+    after = run(released, along_x(released, [40.0]), roads_of(now), last_release=released)
+    assert {(r["key"], r["new"]) for r in rows(after, action="set")} == {("speed_limit", "30")}
+    assert len(lanelets_of(after.map)) == 4

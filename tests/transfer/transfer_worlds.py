@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -193,10 +193,26 @@ def along_x(lanelet_map: LaneletMap, stops: list[float], reach: tuple[float, flo
 
 
 def run(
-    lanelet_map: LaneletMap, matches: Matches, roads: PlacedRoads, params: TransferParams | None = None
+    lanelet_map: LaneletMap,
+    matches: Matches,
+    roads: PlacedRoads,
+    params: TransferParams | None = None,
+    last_release: LaneletMap | None = None,
 ) -> Enriched:
     centerlines = collapse(lanelet_map, CollapseParams())
-    return transfer(lanelet_map, centerlines, matches, roads, params or TransferParams())
+    return transfer(
+        lanelet_map, centerlines, matches, roads, params or TransferParams(), last_release=last_release
+    )
+
+
+def edited(lanelet_map: LaneletMap, lanelet_id: int, key: str, value: str) -> LaneletMap:
+    """The map after a person has changed one value."""
+    relations = lanelet_map.document.relations
+    row = np.flatnonzero(relations.id == lanelet_id)
+    tags = relations.tags.with_values(row, [key], [value])
+    return replace(
+        lanelet_map, document=replace(lanelet_map.document, relations=replace(relations, tags=tags))
+    )
 
 
 def tags_of(lanelet_map: LaneletMap, lanelet_id: int) -> dict[str, str]:

@@ -1,0 +1,92 @@
+"""What the pose graph found."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from flexmap_tasks.model.arrays import Bools, Floats, Ints, Strings
+from flexmap_tasks.model.alignment import RigidMotion
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class GraphNodes:
+    """The adjusted poses, thinned to one every few metres.
+
+    row : (n,) int64, row of the SLAM trajectory
+    source_xyz_m : (n, 3) float64, where SLAM put the pose; source_yaw_rad : (n,) its heading there
+    xyz_m : (n, 3) float64, where it lies in the map frame; yaw_rad : (n,) its heading there
+    sigma_m : (n, 3) float64, predicted standard deviation: east, north, up (NaN without altitude)
+    covariance_en_m2 : (n,) float64, of east and north; sigma_yaw_rad : (n,) float64
+    """
+
+    row: Ints
+    source_xyz_m: Floats
+    source_yaw_rad: Floats
+    xyz_m: Floats
+    yaw_rad: Floats
+    sigma_m: Floats
+    covariance_en_m2: Floats
+    sigma_yaw_rad: Floats
+
+    def __len__(self) -> int:
+        return len(self.row)
+
+
+@dataclass(frozen=True, slots=True)
+class GraphFigures:
+    """What was estimated beside the poses.
+
+    timed : whether time stamps tied GNSS to SLAM; otherwise only the distance across the track counts
+    lever_forward_m, lever_left_m : antenna seen from the SLAM body, along and left of the direction of travel
+    scale : map metres per SLAM metre; clock_offset_s : SLAM stamp minus GNSS stamp of one moment
+    sigma_* : their predicted standard deviations
+    noise_along_m, noise_across_m, noise_yaw_rad : of SLAM over 3 m; noise_gnss : factor on the stated sigmas
+    revisit_edges : pairs of poses on different passes of one place; their share that the graph agrees with
+    """
+
+    timed: bool
+    lever_forward_m: float
+    lever_left_m: float
+    scale: float
+    clock_offset_s: float
+    sigma_lever_forward_m: float
+    sigma_lever_left_m: float
+    sigma_scale: float
+    sigma_clock_offset_s: float
+    noise_along_m: float
+    noise_across_m: float
+    noise_yaw_rad: float
+    noise_gnss: float
+    revisit_edges: int
+    revisit_agreement: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class GnssUse:
+    """Every fix of the GNSS track, and what became of it.
+
+    row : (n,) int64, row in the recording; used : (n,) bool
+    reason : (n,) str, why it was left out, "" where it was used
+    residual_m : (n,) float64, distance from the adjusted antenna track where used, else NaN
+    """
+
+    row: Ints
+    used: Bools
+    reason: Strings
+    residual_m: Floats
+
+    def __len__(self) -> int:
+        return len(self.row)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PoseGraph:
+    """The adjusted drive.
+
+    motion : the robust rigid start; nodes, figures, gnss_use : see there
+    """
+
+    motion: RigidMotion
+    nodes: GraphNodes
+    figures: GraphFigures
+    gnss_use: GnssUse

@@ -1,0 +1,1 @@
+"""Libraries of others that the report carries inside; see NOTICE."""
