@@ -102,7 +102,9 @@ class OsmFetchParams(Params):
         description="http(s) address of an OSM API 0.6 or Overpass endpoint"
     )
     api: Literal["osm06", "overpass"] = "osm06"
-    margin_m: Annotated[float, Field(ge=0, le=10_000)] = Field(200.0, description="added around the track's box")
+    margin_m: Annotated[float, Field(ge=0, le=10_000)] = Field(
+        200.0, description="added around the track's box"
+    )
     max_age_days: NonNegative = Field(30.0, description="an extract older than this is fetched again")
     timeout_s: Annotated[float, Field(gt=0, le=3600)] = 60.0
 
@@ -180,7 +182,9 @@ class RubberSheetParams(Params):
 class PoseGraphParams(Params):
     """Pose graph: SLAM, GNSS, revisits and control points in one adjustment."""
 
-    node_spacing_m: Positive = Field(2.5, description="SLAM poses nearer than this to the last one are carried along")
+    node_spacing_m: Positive = Field(
+        2.5, description="SLAM poses nearer than this to the last one are carried along"
+    )
     revisit_radius_m: NonNegative = Field(
         5.0, description="poses of different passes this near hold each other as SLAM has them; 0 for none"
     )
@@ -191,9 +195,18 @@ class PoseGraphParams(Params):
         0.0, allow_inf_nan=False, description="height of the antenna over the SLAM body; no drive can tell it"
     )
     multipath_min_m: Positive = Field(
-        0.25, description="a stretch of GNSS that stands off by more than this, and significantly, is left out"
+        0.5,
+        description="a stretch of GNSS that stands off by more than this, and significantly, is left out",
     )
     blend_sigma_m: Positive = Field(8.0, description="places between poses follow all poses about this near")
+
+
+class GraphHeldOutParams(Params):
+    """GNSS withheld to see how far the pose graph is to be trusted."""
+
+    block_m: Positive = Field(100.0, description="length of a withheld block")
+    folds: Annotated[int, Field(ge=2, le=50)] = Field(5, description="every so-many-th block is withheld at once")
+    graph: PoseGraphParams = PoseGraphParams()
 
 
 class AlignmentParams(Params):
@@ -231,23 +244,29 @@ class PathParams(Params):
     correlation_m: Positive = Field(
         20.0, description="roads are displaced as a whole: samples nearer than this say the same thing"
     )
-    sigma_start_m: Positive = Field(4.0, description="scatter of roads before it is estimated")
+    sigma_start_m: Positive = Field(3.0, description="scatter of roads before it is estimated")
     angle_sigma_deg: Positive = 12.0
-    absent_cost: NonNegative = Field(4.0, description="misfit of a sample at which no counterpart is as likely")
+    absent_cost: NonNegative = Field(
+        4.0, description="misfit of a sample at which no counterpart is as likely"
+    )
     gap_cost: NonNegative = Field(3.0, description="misfit for a change between a road and no counterpart")
     jump_cost: NonNegative = Field(5.0, description="misfit for a change to a road that is not connected")
     detour_m: Positive = Field(4.0, description="metres of detour per unit of misfit")
-    wrong_way_cost: NonNegative = Field(4.0, description="misfit for driving against a one-way road")
+    wrong_way_cost: NonNegative = Field(2.0, description="misfit for driving against a one-way road")
+    level_cost: NonNegative = Field(
+        2.0, description="misfit for the lower of two roads above each other on a bridge, or the upper below it"
+    )
     minor_cost: NonNegative = Field(0.5, description="misfit for service roads for few, and private roads")
     rounds: Annotated[int, Field(ge=1, le=10)] = Field(3, description="estimates of displacement and scatter")
-    review_confidence: Share = Field(0.8, description="a less certain match goes to review")
+    review_confidence: Share = Field(0.95, description="a less certain match goes to review")
 
 
 class MatchParams(Params):
     """How lanelets find their roads. All but `path` belongs to buffer growing, with the original's defaults."""
 
     method: Literal["path", "buffer_growing"] = Field(
-        "path", description="path: all lanelet paths at once; buffer_growing: the paper's (Zhang and Meng 2005)"
+        "path",
+        description="path: all lanelet paths at once; buffer_growing: the paper's (Zhang and Meng 2005)",
     )
     path: PathParams = PathParams()
     segment_length_m: Positive = 5.0
@@ -273,18 +292,28 @@ class TransferRule(Params):
     """One row of the mapping table: an OSM key and where its value goes."""
 
     key: str = Field(description="OSM tag")
+    variants: tuple[str, ...] = Field((), description="OSM tags read, in this order, where `key` is absent")
     target: str = Field(description="Lanelet2 attribute")
     parser: Literal["text", "word", "speed", "subtype", "location", "oneway"] = "text"
+    element: Literal["tag", "speed_limit_rule"] = Field(
+        "tag", description="write a tag of the lanelet, or a Lanelet2 speed limit rule it refers to"
+    )
     policy: Literal["osm_wins", "fill_only", "review_conflicts"] = Field(
         "osm_wins", description="when the map has another value: replace it, leave it, or ask a person"
     )
+
+    @model_validator(mode="after")
+    def _speed_rule(self) -> TransferRule:
+        if self.element == "speed_limit_rule" and (self.parser, self.target) != ("speed", "speed_limit"):
+            raise ValueError("element speed_limit_rule needs parser speed and target speed_limit")
+        return self
 
 
 DEFAULT_RULES = (
     TransferRule(key="highway", target="subtype", parser="subtype"),
     TransferRule(key="highway", target="location", parser="location"),
     TransferRule(key="maxspeed", target="speed_limit", parser="speed"),
-    TransferRule(key="name", target="road_name"),
+    TransferRule(key="name", variants=("official_name", "loc_name"), target="road_name"),
     TransferRule(key="surface", target="road_surface", parser="word"),
     TransferRule(key="oneway", target="one_way", parser="oneway"),
     TransferRule(key="lane_markings", target="lane_markings", parser="word"),
@@ -326,29 +355,41 @@ class TransferParams(Params):
     )
     no_limit_kmh: Positive | None = Field(None, description="written for maxspeed=none; review when empty")
     confidence_min: Share = Field(0.5, description="a match less certain than this changes nothing")
-    coverage_min: Share = Field(0.5, description="share of a lanelet that a value must hold for")
+    coverage_min: Share = Field(0.5, description="less of a lanelet matched goes to review")
     split: bool = Field(True, description="cut lanelets where a transferred value changes")
     split_end_distance_m: Positive = Field(3.0, description="no cut nearer to an end than this")
     split_snap_m: NonNegative = Field(1.0, description="cut at an existing vertex when one is this near")
     split_stretch_m: NonNegative = Field(5.0, description="a value that holds for less is not worth a cut")
     split_gap_m: Positive = Field(20.0, description="an unmatched end longer than this is cut off")
     split_junctions: bool = Field(
-        False, description="also cut lanelets that fork, merge or turn; else the longer part decides for the whole"
+        False,
+        description="also cut lanelets that fork, merge or turn; else the longer part decides for the whole",
     )
-    split_junction_max_m: Positive = Field(50.0, description="a longer lanelet is no mere way through a junction")
+    junction_max_m: Positive = Field(50.0, description="a longer lanelet is no mere way through a junction")
     split_everywhere: bool = Field(
         False, description="also cut carriageways with lanelets that are closed to cars or driven both ways"
     )
     remove_fragments: bool = Field(False, description="delete unconnected lanelets beyond OSM's lane count")
     speed_jump_kmh: Positive = Field(
-        50.0, description="a short stretch this much faster, or slower, than before and after it goes to review"
+        50.0,
+        description="a short stretch this much faster, or slower, than before and after it goes to review",
     )
     speed_jump_max_m: NonNegative = Field(100.0, description="a longer stretch is believed; 0 believes all")
     lanes_far: Annotated[int, Field(ge=1)] = Field(
         2, description="a lane count this far from OSM's goes to review"
     )
-    provenance_tags: bool = Field(False, description="write way, version and time beside every value: source:<key>")
+    provenance_tags: bool = Field(
+        False, description="write way, version and time beside every value: source:<key>"
+    )
     lane_check_tags: bool = Field(False, description="write the verdict of the lane check: lane_check")
+
+    @model_validator(mode="after")
+    def _one_rule_per_target(self) -> TransferParams:
+        targets = [rule.target for rule in self.rules]
+        twice = sorted({t for t in targets if targets.count(t) > 1})
+        if twice:
+            raise ValueError(f"two rules write {twice[0]}: give one, with the other key among its `variants`")
+        return self
 
 
 class ConflationParams(Params):
@@ -380,6 +421,72 @@ class EvaluationParams(Params):
     true_positive_score: Share = Field(0.8, description="the paper's self-score for a true positive")
 
 
+class ReportParams(Params):
+    """What the report says at its top."""
+
+    map: Name = Field(description="name of the map")
+
+
+class HeldOutParams(Params):
+    """Which GNSS is withheld from the alignment, to judge it by."""
+
+    block_m: Positive = Field(100.0, description="length of a block")
+    every: Annotated[int, Field(ge=2, le=100)] = Field(5, description="one block of so many is withheld")
+    fold: Annotated[int, Field(ge=0)] = Field(0, description="the first withheld block")
+
+    @model_validator(mode="after")
+    def _fold_of_every(self) -> HeldOutParams:
+        if self.fold >= self.every:
+            raise ValueError("fold must be less than every")
+        return self
+
+
+class TruthEvaluationParams(Params):
+    """Limits of an evaluation against the truth; an empty limit is not judged."""
+
+    trajectory_rmse_max_m: Positive | None = Field(None, description="error in the plane, poses with GNSS")
+    map_error_p95_max_m: Positive | None = Field(None, description="error of the map's nodes in the plane")
+    width_change_max_m: Positive | None = Field(None, description="change of a lane's width anywhere")
+    harm_max: Annotated[int, Field(ge=0)] = Field(0, description="all counts of harm to the map together")
+    match_f1_min: Share | None = Field(None, description="F1 of matching, by metre")
+    calibration_error_max: Share | None = Field(None, description="expected calibration error of confidence")
+    attribute_error_max: Share | None = Field(None, description="metres wrong or missing, each attribute")
+    lane_subtypes: tuple[str, ...] = Field(
+        ("road", "highway", "play_street", "bus_lane"), description="subtypes the baseline matches"
+    )
+    relative_steps: tuple[Annotated[int, Field(ge=1)], ...] = Field(
+        (1, 10, 100), description="relative pose error over so many poses"
+    )
+
+
+class GateLimit(Params):
+    """What one figure of quality.json must keep, in its own unit, for a candidate to be published."""
+
+    measure: str = Field(description="name in quality.json, such as deviation_after_valid_rmse")
+    min: Annotated[float, Field(allow_inf_nan=False)] | None = None
+    max: Annotated[float, Field(allow_inf_nan=False)] | None = None
+    max_rise: NonNegative | None = Field(None, description="against the published release")
+    max_fall: NonNegative | None = Field(None, description="against the published release")
+    otherwise: Literal["hold", "reject"] = "hold"
+
+    @model_validator(mode="after")
+    def _some_bound(self) -> GateLimit:
+        if self.min is None and self.max is None and self.max_rise is None and self.max_fall is None:
+            raise ValueError("give at least one of min, max, max_rise and max_fall")
+        return self
+
+
+class GateParams(Params):
+    """What decides whether a candidate becomes `latest`; with nothing set every candidate does."""
+
+    limits: tuple[GateLimit, ...] = Field(
+        (), description="each: measure, min, max, max_rise, max_fall, otherwise"
+    )
+    missed_quality: Literal["publish", "hold", "reject"] = Field(
+        "publish", description="when a figure misses its limit of `evaluation`"
+    )
+
+
 class FlexMapConfig(Params):
     """Everything one map update needs."""
 
@@ -394,6 +501,7 @@ class FlexMapConfig(Params):
     conflation: ConflationParams = ConflationParams()
     georeference: GeoreferenceParams = GeoreferenceParams()
     evaluation: EvaluationParams = EvaluationParams()
+    gate: GateParams = GateParams()
 
     @model_validator(mode="after")
     def _needs_control_points(self) -> FlexMapConfig:

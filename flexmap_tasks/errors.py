@@ -5,7 +5,10 @@ FlexMapError                  the root: `str(error)` is the line a person reads;
 │   ├── ConfigError           the configuration itself
 │   ├── AlignmentError        tracks or control points that cannot be aligned
 │   └── CoverageError         inputs that do not belong to the same place
-└── StoreError                the artifact store cannot be read or written
+├── StoreError                the artifact store cannot be read or written
+└── NotPublishedError         the gate did not publish a candidate
+    ├── HeldError             it waits for a person; exit code 3
+    └── RejectedError         it must not be used; exit code 4
 """
 
 from __future__ import annotations
@@ -47,3 +50,19 @@ class CoverageError(InputError):
 
 class StoreError(FlexMapError):
     """The artifact store cannot be read or written as it must be."""
+
+
+class NotPublishedError(FlexMapError):
+    """A run came to its end, but the gate did not publish what it made."""
+
+
+class HeldError(NotPublishedError):
+    """The candidate waits for a person's decision."""
+
+    exit_code = 3
+
+
+class RejectedError(NotPublishedError):
+    """The candidate missed a limit that rejects it."""
+
+    exit_code = 4

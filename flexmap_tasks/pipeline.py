@@ -19,6 +19,7 @@ from flexmap_tasks.config import (
     OsmRoadsParams,
     Params,
     PointCloudParams,
+    ReportParams,
     SlamParams,
 )
 from flexmap_tasks.conflation.collapse import collapse
@@ -36,6 +37,9 @@ from flexmap_tasks.ingest.osm_fetch import fetch_osm, track_box
 from flexmap_tasks.ingest.osm_roads import ingest_osm_roads
 from flexmap_tasks.ingest.point_cloud import ingest_point_cloud
 from flexmap_tasks.ingest.slam import ingest_slam
+from flexmap_tasks.report.bundle_check import check_bundle
+from flexmap_tasks.report.exports import export_layers
+from flexmap_tasks.report.report import report
 
 M = TypeVar("M", bound=Params)
 
@@ -49,6 +53,7 @@ class Aligned:
     slam: Ref
     control_points: Ref | None
     warp: Ref
+    track: Ref
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,14 +64,35 @@ class Conflated:
     enriched: Ref
 
 
+@dataclass(frozen=True, slots=True)
+class Cloud:
+    """The list of the map's tiles as Autoware reads it, and the tiles that are there."""
+
+    metadata: Ref
+    keys: Ref
+
+
+@dataclass(frozen=True, slots=True)
+class Drawn:
+    """What the report and the layers show; `recorded` is the map as it was read, `lanelets` where georeferencing put it."""
+
+    recorded: Ref | None
+    lanelets: Ref | None
+    roads: Ref | None
+    aligned: Aligned
+    conflated: Conflated | None
+    quality: Ref
+    bundle_findings: Ref | None
+
+
 def map_update(config: FlexMapConfig) -> Graph:
     """Everything one map update does, and what its release holds."""
     graph = Graph()
     fixes = graph.run(ingest_gnss, only(GnssParams, config.gnss), source=SourceRef(config.gnss.file))
     slam = graph.run(ingest_slam, only(SlamParams, config.slam), source=SourceRef(config.slam.file))
-    lanelets = None
+    lanelets = recorded = None
     if config.lanelet_map is not None:
-        lanelets = graph.run(ingest_lanelet_map, source=SourceRef(config.lanelet_map.file))
+        lanelets = recorded = graph.run(ingest_lanelet_map, source=SourceRef(config.lanelet_map.file))
     tiles = _ingest_cloud(graph, config)
     roads = _ingest_roads(graph, config.osm, fixes)
 
@@ -75,6 +101,7 @@ def map_update(config: FlexMapConfig) -> Graph:
     if lanelets is not None and moves_map:
         lanelets = graph.run(georeference_map, lanelet_map=lanelets, warp=aligned.warp)
     conflated = _conflate(graph, config, lanelets, roads, aligned) if lanelets and roads else None
+    bundle = cloud = None
     if lanelets is not None:
         finished = conflated.enriched.field("map") if conflated else lanelets
         bundle = graph.run(
@@ -86,8 +113,10 @@ def map_update(config: FlexMapConfig) -> Graph:
         graph.publish(".", bundle)
         graph.publish("map_findings.parquet", lanelets.field("findings"))
     if tiles is not None:
-        _georeference_cloud(graph, config, tiles, aligned.warp if moves_map else None)
-    _evaluate(graph, config, aligned, lanelets, conflated)
+        cloud = _georeference_cloud(graph, config, tiles, aligned.warp if moves_map else None)
+    quality = _evaluate(graph, config, aligned, lanelets, conflated)
+    checked = _check_bundle(graph, bundle, cloud) if bundle else None
+    _report(graph, config, Drawn(recorded, lanelets, roads, aligned, conflated, quality, checked))
     return graph
 
 
@@ -149,7 +178,7 @@ def _align(
     graph.publish("slam_track_before.parquet", slam)
     aligned_track = graph.run(align_track, slam=slam, warp=warp)
     graph.publish("slam_track_after.parquet", aligned_track)
-    return Aligned(projection, gnss, slam, points, warp)
+    return Aligned(projection, gnss, slam, points, warp, aligned_track)
 
 
 def _conflate(graph: Graph, config: FlexMapConfig, lanelets: Ref, roads: Ref, aligned: Aligned) -> Conflated:
@@ -178,7 +207,7 @@ def _conflate(graph: Graph, config: FlexMapConfig, lanelets: Ref, roads: Ref, al
     return Conflated(matched, enriched)
 
 
-def _georeference_cloud(graph: Graph, config: FlexMapConfig, tiles: Ref, warp: Ref | None) -> None:
+def _georeference_cloud(graph: Graph, config: FlexMapConfig, tiles: Ref, warp: Ref | None) -> Cloud:
     assert config.point_cloud is not None  # noqa: S101 - there are tiles
     params = only(PointCloudParams, config.point_cloud)
 
@@ -189,12 +218,25 @@ def _georeference_cloud(graph: Graph, config: FlexMapConfig, tiles: Ref, warp: R
     warped = graph.run_each(warp_tile, "tile", params, tile=tiles.field("tiles"), warp=warp, narrow=touched)
     merged = graph.run_each(merge_tile, "parts", parts=warped.transpose())
     graph.publish("pointcloud_map/", merged)
-    graph.publish(".", graph.run(pointcloud_metadata, params, tiles=merged.keys()))
+    metadata = graph.run(pointcloud_metadata, params, tiles=merged.keys())
+    graph.publish(".", metadata)
+    return Cloud(metadata, merged.keys())
+
+
+def _check_bundle(graph: Graph, bundle: Ref, cloud: Cloud | None) -> Ref:
+    found = graph.run(
+        check_bundle,
+        bundle=bundle,
+        cloud_metadata=cloud.metadata if cloud else None,
+        tiles=cloud.keys if cloud else None,
+    )
+    graph.publish("bundle_findings.parquet", found)
+    return found
 
 
 def _evaluate(
     graph: Graph, config: FlexMapConfig, aligned: Aligned, lanelets: Ref | None, conflated: Conflated | None
-) -> None:
+) -> Ref:
     enriched = conflated.enriched if conflated else None
     quality = graph.run(
         evaluate,
@@ -210,6 +252,33 @@ def _evaluate(
         transfer_findings=enriched.field("findings") if enriched else None,
     )
     graph.publish("quality.json", quality)
+    return quality
+
+
+def _report(graph: Graph, config: FlexMapConfig, drawn: Drawn) -> None:
+    """What a person looks at, and what other tools open."""
+    lanelets, conflated, aligned = drawn.lanelets, drawn.conflated, drawn.aligned
+    enriched = conflated.enriched if conflated else None
+    shown = {
+        "projection": aligned.projection,
+        "gnss": aligned.gnss_track,
+        "slam": aligned.slam,
+        "warp": aligned.warp,
+        "control_points": aligned.control_points,
+        "source_map": drawn.recorded,
+        "final_map": enriched.field("map") if enriched else lanelets,
+        "map_warp": aligned.warp if lanelets and config.alignment.master == "slam" else None,
+        "roads": drawn.roads,
+        "matches": conflated.matched.field("matches") if conflated else None,
+        "transfers": enriched.field("transfers") if enriched else None,
+        "lane_check": enriched.field("lane_check") if enriched else None,
+        "map_findings": lanelets.field("findings") if lanelets else None,
+        "transfer_findings": enriched.field("findings") if enriched else None,
+        "bundle_findings": drawn.bundle_findings,
+    }
+    params = only(ReportParams, config)
+    graph.publish(".", graph.run(report, params, quality=drawn.quality, **shown))
+    graph.publish("layers/", graph.run(export_layers, params, aligned=aligned.track, **shown))
 
 
 def only(kind: type[M], settings: M) -> M:

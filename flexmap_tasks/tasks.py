@@ -8,8 +8,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from typing import Any
+from uuid import UUID
 
 from prefect import Task, task
+from prefect.artifacts import create_progress_artifact, update_progress_artifact
 from prefect.cache_policies import NO_CACHE
 from prefect.client.schemas.objects import State, TaskRun
 from prefect.futures import PrefectFuture
@@ -22,6 +24,7 @@ from flexmap_tasks.errors import FlexMapError
 from flexmap_tasks.formats.osm_fetch import OsmServerError
 from flexmap_tasks.store.store import CorruptBlobError
 
+ITEMS_FOR_A_BAR = 20
 OUTSIDE_RETRIES = 3
 OUTSIDE_RETRY_DELAYS_S = [2.0, 10.0, 30.0]
 
@@ -50,7 +53,7 @@ class StageRuns:
         artifacts = {name: outcome.artifact for name, outcome in self.outcomes.items()}
         try:
             bound = {name: self.engine.bind(ref, artifacts) for name, ref in node.inputs.items()}
-            outcome = self.engine.run(node, bound, _log_items(node))
+            outcome = self.engine.run(node, bound, _show_items(node, self.map_name))
         except (FlexMapError, CorruptBlobError) as error:
             self.errors[node.name] = error
             if isinstance(error, OsmServerError):
@@ -93,11 +96,22 @@ def _worth_a_retry(_task: Task[Any, Any], _run: TaskRun, state: State[Any]) -> b
     return isinstance(state.data, OsmServerError) or "OsmServerError" in (state.message or "")
 
 
-def _log_items(node: Node) -> Progress:
+def _show_items(node: Node, map_name: str) -> Progress:
+    """A line in the log and, where there is much to do, a bar on the dashboard, about every tenth of the way."""
     logger = get_run_logger()
+    bar: list[UUID] = []
 
     def progress(done: int, total: int) -> None:
-        if done == total or done % max(1, total // 10) == 0:
-            logger.info("%s: %d of %d items", node.name, done, total)
+        if done != total and done % max(1, total // 10) != 0:
+            return
+        logger.info("%s: %d of %d items", node.name, done, total)
+        if total >= ITEMS_FOR_A_BAR:
+            share = 100.0 * done / total
+            if bar:
+                update_progress_artifact(bar[0], progress=share)
+            else:
+                text = f"{node.name} of {map_name}: {total} items"
+                made: Any = create_progress_artifact(progress=share, description=text)
+                bar.append(made)
 
     return progress

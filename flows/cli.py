@@ -1,7 +1,7 @@
 """The `flexmap` command.
 
 Exit codes: 0 done; 1 an error inside FlexMap; 2 an input, the configuration or the store is at fault;
-130 interrupted.
+3 the gate holds the release for a person; 4 the gate rejects it; 5 some maps of a fleet failed; 130 interrupted.
 """
 
 from __future__ import annotations
@@ -15,17 +15,21 @@ from cyclopts import App, Parameter
 from rich.console import Console
 
 from flexmap_tasks.errors import FlexMapError
-from flows import commands
+from flows import cli_fleet, commands
+from flows.store_commands import STORE, Releases, StoreUrl, add_store_commands
+from flows.world_commands import add_world_commands
 
 app = App(name="flexmap", help=__doc__, version="0.1.0")
+cli_fleet.add_to(app)
+add_world_commands(app)
 
 Set = Annotated[tuple[str, ...], Parameter(name="--set", consume_multiple=True, negative="")]
-StoreUrl = Annotated[Path, Parameter(name="--store", env_var="FLEXMAP_STORE")]
-STORE = Path("artifacts")
 
 
 @app.command
-def run(config: Path, *, set_: Set = (), store: StoreUrl = STORE, prefect: bool = True) -> None:
+def run(
+    config: Path, *, set_: Set = (), store: StoreUrl = STORE, releases: Releases = None, prefect: bool = True
+) -> None:
     """Make a release: compute what changed, reuse everything else.
 
     Parameters
@@ -35,11 +39,13 @@ def run(config: Path, *, set_: Set = (), store: StoreUrl = STORE, prefect: bool 
     set_
         Settings to override, as key.path=value; paths relative to the working directory.
     store
-        Folder of the artifact store.
+        Folder of the artifact store, or s3://bucket/prefix.
+    releases
+        Folder of the releases; <store>/releases, or artifacts/releases when the store is no folder.
     prefect
         Run as a Prefect flow; with --no-prefect in this process, without server and dashboard.
     """
-    commands.run(config, set_, store, through_prefect=prefect)
+    commands.run(config, set_, store, releases, through_prefect=prefect)
 
 
 @app.command
@@ -90,6 +96,9 @@ def demo(*, store: StoreUrl = STORE, prefect: bool = True) -> None:
         Run as a Prefect flow.
     """
     commands.demo(store, through_prefect=prefect)
+
+
+add_store_commands(app)
 
 
 def main() -> None:

@@ -2,79 +2,59 @@
 
 from __future__ import annotations
 
-import asyncio
-import os
 import time
 from collections.abc import Iterable
 from pathlib import Path
-from typing import Any, cast
 
 from flexmap_tasks.config import FlexMapConfig
-from flexmap_tasks.engine.execute import Engine, Outcome
-from flexmap_tasks.engine.fingerprint import code_fingerprint
-from flexmap_tasks.engine.graph import Graph
-from flexmap_tasks.engine.local import run_local
-from flexmap_tasks.engine.plan import Plan, make_plan, read_last_run
+from flexmap_tasks.engine.finished import still_finished
+from flexmap_tasks.engine.gate import read_verdict
 from flexmap_tasks.engine.release import Release
-from flexmap_tasks.formats.config_defaults import defaults_yaml
 from flexmap_tasks.formats.config_file import dump_config, load_config
-from flexmap_tasks.pipeline import map_update
-from flexmap_tasks.simulate.world import World
-from flexmap_tasks.simulate.write import write_world
 from flexmap_tasks.store.artifact import seal
 from flexmap_tasks.store.store import Store
 from flows import console
-from flows.finish import finish_run
+from flows.verdicts import not_published
 
 PROJECT = Path(__file__).resolve().parents[1]
 
-PREFECT_SETTINGS = {
-    "PREFECT_SERVER_EPHEMERAL_STARTUP_TIMEOUT_SECONDS": "120",  # a cold server needs 10 to 35 s
-    "PREFECT_SERVER_ANALYTICS_ENABLED": "false",
-    "DO_NOT_TRACK": "1",
-}
+# What loads the stages is imported where it is needed: a run that finds nothing to do takes no longer than it must.
 
 
-def run(file: Path, overrides: Iterable[str], store: Path, *, through_prefect: bool) -> None:
+def run(
+    file: Path, overrides: Iterable[str], store: str, releases: Path | None = None, *, through_prefect: bool
+) -> None:
     """Plan, run what has to run, publish."""
-    run_config(load_config(FlexMapConfig, file, overrides), store, through_prefect=through_prefect)
+    config = load_config(FlexMapConfig, file, overrides)
+    run_config(config, Store.open(store, releases), through_prefect=through_prefect)
 
 
-def run_config(config: FlexMapConfig, store_path: Path, *, through_prefect: bool) -> Release:
+def run_config(config: FlexMapConfig, store: Store, *, through_prefect: bool) -> Release:
     """The same for settings already read."""
     clock = time.perf_counter()
-    store = Store.open(store_path)
-    store.check_writable()
-    graph = map_update(config)
-    plan_ = make_plan(Engine(store), graph, read_last_run(store, config.map))
-    if plan_.all_cached:
-        outcomes = {
-            s.node.name: Outcome(
-                s.node.name, s.record.key, s.record.output, cached=True, seconds=s.record.seconds
-            )
-            for s in plan_.steps
-            if s.record is not None
-        }
-        release = finish_run(store, graph, outcomes, config.map)
+    finished = still_finished(store, config, store.releases)
+    if finished is not None:
+        release = finished.release
         console.say(
-            f"{config.map}: nothing changed, all {len(outcomes)} stages are cached; no flow was started"
+            f"{config.map}: nothing changed, all {finished.stages} stages are cached; no flow was started"
         )
-    elif through_prefect:
-        release = _run_prefect(config, store_path, plan_)
     else:
-        outcomes = _run_here(store, graph)
-        release = finish_run(store, graph, outcomes, config.map)
+        from flows.running import run_planned  # noqa: PLC0415 - see above
+
+        release = run_planned(config, store, through_prefect=through_prefect)
     console.show_summary(config.map, release, time.perf_counter() - clock)
+    stopped = not_published(read_verdict(store, config.map, release.id))
+    if stopped is not None:
+        raise stopped
     return release
 
 
-def plan(file: Path, overrides: Iterable[str], store: Path) -> None:
+def plan(file: Path, overrides: Iterable[str], store: str) -> None:
     """Print the plan."""
+    from flows.running import plan_run  # noqa: PLC0415 - see above
+
     config = load_config(FlexMapConfig, file, overrides)
-    opened = Store.open(store)
-    console.show_plan(
-        config.map, make_plan(Engine(opened), map_update(config), read_last_run(opened, config.map))
-    )
+    console.show_plan(config.map, plan_run(config, Store.open(store)))
 
 
 def show_config(file: Path, overrides: Iterable[str]) -> None:
@@ -84,12 +64,14 @@ def show_config(file: Path, overrides: Iterable[str]) -> None:
 
 def defaults() -> None:
     """Print the reference of all settings."""
+    from flexmap_tasks.formats.config_defaults import defaults_yaml  # noqa: PLC0415 - see above
+
     console.write(defaults_yaml(FlexMapConfig))
 
 
-def demo(store: Path, *, through_prefect: bool) -> None:
+def demo(store: str, *, through_prefect: bool) -> None:
     """Simulate the small town once, then make its map."""
-    folder = store / "demo"
+    folder = Path("artifacts" if "://" in store else store) / "demo"
     _write_demo_town(folder)
     inputs = {
         "gnss.file": "recording.mcap",
@@ -105,6 +87,10 @@ def demo(store: Path, *, through_prefect: bool) -> None:
 
 def _write_demo_town(folder: Path) -> None:
     """The town's files, unless they are there already, made by the same world and the same code."""
+    from flexmap_tasks.engine.fingerprint import code_fingerprint  # noqa: PLC0415 - see above
+    from flexmap_tasks.simulate.world import World  # noqa: PLC0415
+    from flexmap_tasks.simulate.write import write_world  # noqa: PLC0415
+
     world = load_config(World, PROJECT / "configs" / "worlds" / "small_town.yaml")
     made_by = code_fingerprint("flexmap_tasks.simulate.write")
     label = seal({"world": world.model_dump(mode="json"), "code": made_by})
@@ -114,24 +100,3 @@ def _write_demo_town(folder: Path) -> None:
     console.say(f"simulating {world.name} into {folder}")
     write_world(world, folder)
     mark.write_bytes(label)
-
-
-def _run_here(store: Store, graph: Graph) -> dict[str, Outcome]:
-    with console.StageProgress(len(graph.nodes)) as progress:
-        return run_local(store, graph, progress.start, progress.done, progress.item)
-
-
-def _run_prefect(config: FlexMapConfig, store: Path, plan_: Plan) -> Release:
-    """The flow, against the configured server or one of its own that ends with it."""
-    for name, value in PREFECT_SETTINGS.items():
-        os.environ.setdefault(name, value)
-    waiting = sum(1 for s in plan_.steps if s.state != "cached")
-    console.say(f"{config.map}: {waiting} of {len(plan_.steps)} stages may run; starting Prefect")
-    from flows.map_update import map_update as flow  # noqa: PLC0415 - importing Prefect takes seconds
-
-    flow_run: Any = flow(config, str(store.resolve()), return_state=True)
-    state = asyncio.run(flow_run)
-    result = state.result(raise_on_failure=False)
-    if isinstance(result, BaseException):
-        raise result
-    return cast("Release", result)

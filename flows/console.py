@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from rich.console import Console
 from rich.progress import (
@@ -17,10 +17,11 @@ from rich.progress import (
 )
 from rich.table import Table
 
-from flexmap_tasks.engine.execute import Outcome
-from flexmap_tasks.engine.graph import Node
-from flexmap_tasks.engine.plan import Plan
-from flexmap_tasks.engine.release import Release
+if TYPE_CHECKING:  # a run that has nothing to do must not load the stages
+    from flexmap_tasks.engine.execute import Outcome
+    from flexmap_tasks.engine.graph import Node
+    from flexmap_tasks.engine.plan import Plan
+    from flexmap_tasks.engine.release import Release
 
 _console = Console(highlight=False)
 HEADLINES = (
@@ -45,6 +46,11 @@ STATE_STYLE = {"cached": "green", "run": "yellow", "depends": "cyan"}
 def say(line: str) -> None:
     """One line."""
     _console.print(line, markup=False, soft_wrap=True)
+
+
+def show(table: Table) -> None:
+    """A table of any kind."""
+    _console.print(table)
 
 
 def write(text: str) -> None:

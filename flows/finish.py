@@ -4,17 +4,29 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
+from flexmap_tasks.config import FlexMapConfig
 from flexmap_tasks.engine.execute import Outcome
+from flexmap_tasks.engine.finished import Watched, remember_finished
+from flexmap_tasks.engine.gate import make_candidate, pass_gate
 from flexmap_tasks.engine.graph import Graph
-from flexmap_tasks.engine.plan import write_last_run
-from flexmap_tasks.engine.release import Release, publish_release
+from flexmap_tasks.engine.release import Release
+from flexmap_tasks.engine.runs import sources_of, write_last_run
 from flexmap_tasks.store.store import Store
+from flows.metrics import write_metrics
 
 
-def finish_run(store: Store, graph: Graph, outcomes: Mapping[str, Outcome], map_name: str) -> Release:
-    """Publish the release and remember the run, so that the next plan can say what changed."""
+def finish_run(
+    store: Store, graph: Graph, outcomes: Mapping[str, Outcome], config: FlexMapConfig, watched: Watched
+) -> Release:
+    """Make the release, let the gate decide whether it is published, and remember the run.
+
+    The next plan can then say what changed, the next run that nothing did.
+    """
     artifacts = {name: o.artifact for name, o in outcomes.items()}
     actions = {name: o.key for name, o in outcomes.items()}
-    release = publish_release(store, graph, artifacts, actions, store.backend.local("releases"), map_name)
-    write_last_run(store, map_name, actions)
+    release = make_candidate(store, graph, artifacts, actions, config.map)
+    verdict = pass_gate(store, release, config.map, config.gate)
+    write_last_run(store, config.map, actions, release.id, sources_of(store, graph))
+    remember_finished(store, config, graph, actions, release, watched)
+    write_metrics(store, verdict, outcomes)
     return release

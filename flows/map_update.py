@@ -3,25 +3,30 @@
 from __future__ import annotations
 
 import asyncio
+from pathlib import Path
 from typing import Any
 
 from prefect import flow
 from prefect.client.schemas.objects import State
 from prefect.futures import wait
-from prefect.states import Failed
+from prefect.states import Completed, Failed
 from prefect.task_runners import ThreadPoolTaskRunner
 
 from flexmap_tasks.config import FlexMapConfig
 from flexmap_tasks.engine.execute import Engine, Outcome
+from flexmap_tasks.engine.finished import Watched, watch
+from flexmap_tasks.engine.gate import read_verdict
 from flexmap_tasks.engine.graph import Graph
 from flexmap_tasks.engine.local import REPAIRS
 from flexmap_tasks.engine.release import Release
-from flexmap_tasks.errors import FlexMapError
+from flexmap_tasks.errors import FlexMapError, RejectedError
 from flexmap_tasks.pipeline import map_update as map_update_graph
 from flexmap_tasks.store.store import CorruptBlobError, Store
 from flexmap_tasks.tasks import StageRuns
-from flows.dashboard import publish_to_dashboard
+from flows.dashboard import publish_to_dashboard, savings
+from flows.failures import remember_failure
 from flows.finish import finish_run
+from flows.verdicts import not_published
 
 MAX_STAGES_AT_ONCE = 4
 
@@ -33,32 +38,52 @@ MAX_STAGES_AT_ONCE = 4
     validate_parameters=True,
     task_runner=ThreadPoolTaskRunner(max_workers=MAX_STAGES_AT_ONCE),  # type: ignore[arg-type]
 )
-async def map_update(config: FlexMapConfig, store: str = "artifacts") -> Release | State[Any]:
-    """Georeference and enrich one map; publishes a release below the store.
+async def map_update(
+    config: FlexMapConfig, store: str = "artifacts", releases: str | None = None
+) -> State[Any]:
+    """Georeference and enrich one map; publishes a release.
 
     config : everything the update needs, see configs/defaults.yaml
-    store : folder of the artifact store
+    store : folder of the artifact store, or s3://bucket/prefix
+    releases : folder of the releases; below the store when empty
     """
-    opened = Store.open(store)
+    opened = Store.open(store, Path(releases) if releases else None)
     graph = map_update_graph(config)
+    watched = watch(graph)
     try:
-        outcomes = await _run_stages(opened, graph, config.map)
-        release = finish_run(opened, graph, outcomes, config.map)
+        outcomes, release = await _run(opened, graph, config, watched)
     except FlexMapError as error:
+        remember_failure(opened, config, watched, error)
         return Failed(message=str(error), data=error)  # a fault of the input is one line, not a traceback
-    await publish_to_dashboard(config.map, outcomes, release)
-    return release
+    verdict = read_verdict(opened, config.map, release.id)
+    await publish_to_dashboard(config, outcomes, release, verdict)
+    stopped = not_published(verdict)
+    if isinstance(stopped, RejectedError):
+        return Failed(name="Rejected", message=str(stopped), data=stopped)
+    if stopped is not None:
+        return Completed(name="Held", message=str(stopped), data=release)
+    return Completed(message=f"release {release.id} is published; {savings(outcomes)}", data=release)
+
+
+async def _run(
+    store: Store, graph: Graph, config: FlexMapConfig, watched: Watched
+) -> tuple[dict[str, Outcome], Release]:
+    """All stages and the release; begins again where a damaged blob was met, which is gone from the store by then."""
+    for attempt in range(REPAIRS + 1):
+        try:
+            outcomes = await _run_stages(store, graph, config.map)
+            return outcomes, finish_run(store, graph, outcomes, config, watched)
+        except CorruptBlobError:
+            if attempt == REPAIRS:
+                raise
+    raise AssertionError("unreachable")
 
 
 async def _run_stages(store: Store, graph: Graph, map_name: str) -> dict[str, Outcome]:
-    """All stages; starts over where a damaged blob was met, which the engine has removed by then."""
-    for attempt in range(REPAIRS + 1):
-        runs = StageRuns(Engine(store), graph, map_name)
-        futures = runs.submit()
-        await asyncio.to_thread(wait, futures)
-        error = next(iter(runs.errors.values()), None)
-        if error is None:
-            return {name: runs.outcomes[name] for name in graph.nodes}
-        if not isinstance(error, CorruptBlobError) or attempt == REPAIRS:
-            raise error
-    raise AssertionError("unreachable")
+    runs = StageRuns(Engine(store), graph, map_name)
+    futures = runs.submit()
+    await asyncio.to_thread(wait, futures)
+    error = next(iter(runs.errors.values()), None)
+    if error is not None:
+        raise error
+    return {name: runs.outcomes[name] for name in graph.nodes}

@@ -14,5 +14,8 @@ def cloud_extent(index: TileIndex) -> Extent:
     Being a stage of its own, it keeps a change inside the cloud from touching the warp.
     """
     return Extent(
-        float(index.x_min_m.min()), float(index.y_min_m.min()), float(index.x_max_m.max()), float(index.y_max_m.max())
+        float(index.x_min_m.min()),
+        float(index.y_min_m.min()),
+        float(index.x_max_m.max()),
+        float(index.y_max_m.max()),
     )

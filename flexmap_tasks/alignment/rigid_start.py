@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from scipy.spatial import cKDTree
 
@@ -10,7 +12,7 @@ from flexmap_tasks.geometry.monotone import associate
 from flexmap_tasks.geometry.polyline import arc_length_m
 from flexmap_tasks.geometry.rigid import PlanarFit, fit_planar_motion
 from flexmap_tasks.geometry.se2 import rotated, wrapped
-from flexmap_tasks.model.arrays import Floats
+from flexmap_tasks.model.arrays import Bools, Floats, Ints
 
 SAMPLE_M, WINDOW = 5.0, 60
 """Pieces of 300 m are compared: long enough to have a shape, short enough to have little drift."""
@@ -18,8 +20,8 @@ SAMPLE_M, WINDOW = 5.0, 60
 NEAR_M, ALIKE_RAD = 10.0, 0.6
 """A pose supports a hypothesis when the line runs this near, in this direction."""
 
-LINE_M = 1.0
-"""Spacing of the line's samples in the association."""
+LINE_M, COARSE_M, BAND_M = 1.0, 6.0, 60.0
+"""Spacing of the line's samples, of the first coarse ones, and how far a second look leaves the first."""
 
 CAUCHY_M = 1.0
 """Misfit at which a pose counts half in the rigid fit."""
@@ -35,17 +37,54 @@ def rigid_start(slam_xy_m: Floats, line: GnssLine) -> tuple[PlanarFit, Floats]:
     slam_xy_m : (n, 2)
     """
     fit = _best_of(_hypotheses(slam_xy_m, line), slam_xy_m, line)
-    along = np.arange(0.0, line.along_m[-1] + LINE_M / 2, LINE_M)
-    samples, heading, seen = line.at(along), line.heading_at(along), line.seen_at(along)
+    coarse = _Samples.of(line, COARSE_M)
+    thin = np.arange(0, len(slam_xy_m), max(int(COARSE_M / max(_spacing(slam_xy_m), 1e-6)), 1))
+    for _ in range(2):
+        place = coarse.associated(slam_xy_m[thin], fit, None)
+        fit = _refined(fit, slam_xy_m[thin], coarse, place)
+    fine = _Samples.of(line, LINE_M)
+    along = np.interp(np.arange(len(slam_xy_m)), thin, coarse.along_m[place])
     for _ in range(_ROUNDS):
+        place = fine.associated(slam_xy_m, fit, along)
+        fit, along = _refined(fit, slam_xy_m, fine, place), fine.along_m[place]
+    return fit, along
+
+
+class _Samples(NamedTuple):
+    """The line at even spacing."""
+
+    along_m: Floats
+    xy_m: Floats
+    heading: Floats
+    seen: Bools
+
+    @classmethod
+    def of(cls, line: GnssLine, spacing_m: float) -> _Samples:
+        along = np.arange(0.0, line.along_m[-1] + spacing_m / 2, spacing_m)
+        return cls(along, line.at(along), line.heading_at(along), line.seen_at(along))
+
+    def associated(self, slam_xy_m: Floats, fit: PlanarFit, near_m: Floats | None) -> Ints:
+        """The sample of every pose; within `BAND_M` of an arc length when one is given."""
         moved = slam_xy_m @ fit.rotation.T + fit.translation
-        place = associate(moved, track_heading(moved), samples, heading, seen)
-        target = samples[place]
-        weight = np.where(seen[place], 1.0, 1e-6)
-        for _ in range(5):
-            gap = np.hypot(*(target - slam_xy_m @ fit.rotation.T - fit.translation).T)
-            fit = fit_planar_motion(slam_xy_m, target, weight / (1.0 + (gap / CAUCHY_M) ** 2))
-    return fit, along[place]
+        first, width = None, None
+        if near_m is not None:
+            lowest = np.minimum(near_m, np.minimum.accumulate(near_m[::-1])[::-1]) - BAND_M
+            first = np.searchsorted(self.along_m, np.maximum(lowest, 0.0))
+            width = min(int(2 * BAND_M / (self.along_m[1] - self.along_m[0])), len(self.along_m))
+        return associate(moved, track_heading(moved), self.xy_m, self.heading, self.seen, first, width)
+
+
+def _refined(fit: PlanarFit, slam_xy_m: Floats, samples: _Samples, place: Ints) -> PlanarFit:
+    """The rigid fit again, every pose weighted by its misfit."""
+    target, seen = samples.xy_m[place], np.where(samples.seen[place], 1.0, 1e-6)
+    for _ in range(5):
+        gap = np.hypot(*(target - slam_xy_m @ fit.rotation.T - fit.translation).T)
+        fit = fit_planar_motion(slam_xy_m, target, seen / (1.0 + (gap / CAUCHY_M) ** 2))
+    return fit
+
+
+def _spacing(xy_m: Floats) -> float:
+    return float(np.median(np.hypot(*np.diff(xy_m, axis=0).T)))
 
 
 def track_heading(xy_m: Floats) -> Floats:

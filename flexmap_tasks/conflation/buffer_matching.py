@@ -32,9 +32,7 @@ def match_by_buffers(
     intervals = way_intervals(references, targets, grown, params.segment_length_m)
     decisions = _with_gaps(references, intervals)
     pieces = _pieces(centerlines, lanelet_map, references, decisions)
-    return Matched(
-        _rows(centerlines, roads, references, grown, decisions, pieces), _table(references, grown)
-    )
+    return Matched(_rows(centerlines, roads, references, grown, decisions, pieces), _table(references, grown))
 
 
 def _with_gaps(references: ReferenceLines, found: WayIntervals) -> WayIntervals:

@@ -5,14 +5,21 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+import shapely
+from numpy.typing import NDArray
 
 from flexmap_tasks.conflation.lane_check import LaneCounts
+from flexmap_tasks.conflation.transfer_facts import LaneletFacts
 from flexmap_tasks.geometry.lanelets import gather
-from flexmap_tasks.model.arrays import Bools, Ints
+from flexmap_tasks.model.arrays import Bools, Floats, Ints, Strings
 from flexmap_tasks.model.conflation import LaneCheck
 from flexmap_tasks.model.lanelets import end_nodes
 from flexmap_tasks.model.maps import LaneletMap, Lanelets
 from flexmap_tasks.model.osm import OsmDocument, rows_of
+
+GAP_M = 1.5
+"""A lone lanelet further from a carriageway than this is a road of its own."""
+ANGLE_RAD = np.radians(20.0)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -25,14 +32,26 @@ class Removed:
 
 
 def fragments(
-    lanelet_map: LaneletMap, lanelets: Lanelets, counts: LaneCounts, check: LaneCheck
+    lanelet_map: LaneletMap, facts: LaneletFacts, counts: LaneCounts, check: LaneCheck
 ) -> list[Removed]:
     """Lanelets that share an end with no other and that a carriageway has beyond OSM's count.
 
-    Never one that another relation names or that carries a rule. Of several, the outermost go first.
+    A lanelet that shares a bound belongs to its neighbours' carriageway; one that lies close beside a carriageway
+    and was matched to no other road is beyond it. Never one that another relation names or that carries a rule.
     """
-    row = rows_of(lanelets.id, check.lanelet_id)
+    lanelets = facts.lanelets
+    if not len(check.lanelet_id):
+        return []
     free = ~(_connected(lanelet_map, lanelets) | _needed(lanelet_map.document, lanelets))
+    free &= facts.open_to_cars & np.isfinite(facts.length_m)
+    tied = _tied(lanelets, counts, check, free)
+    known = np.array([r.lanelet_id for r in tied], dtype=np.int64)
+    return tied + _beside(lanelet_map, facts, counts, check, free & ~np.isin(lanelets.id, known))
+
+
+def _tied(lanelets: Lanelets, counts: LaneCounts, check: LaneCheck, free: Bools) -> list[Removed]:
+    """Of the lanelets of a carriageway beyond the count, the outermost go first."""
+    row = rows_of(lanelets.id, check.lanelet_id)
     excess = np.where(check.verdict == "differ", check.lanes_map - check.lanes_osm, 0)
     at = np.flatnonzero((excess > 0) & free[row] & (counts.centerline[row] >= 0))
     at = at[np.lexsort((check.lanelet_id[at], -counts.lane[row[at]], counts.centerline[row[at]]))]
@@ -44,6 +63,67 @@ def fragments(
             reason = f"a fragment without predecessor and successor; {check.reason[i]}"
             out.append(Removed(int(check.lanelet_id[i]), int(check.way_id[i]), reason))
     return out
+
+
+def _beside(
+    lanelet_map: LaneletMap, facts: LaneletFacts, counts: LaneCounts, check: LaneCheck, free: Bools
+) -> list[Removed]:
+    """Lone lanelets along the edge of a carriageway that has as many lanes as OSM says without them."""
+    lanelets = facts.lanelets
+    verdict: Strings = np.full(len(lanelets), "", dtype=object)
+    row = rows_of(lanelets.id, check.lanelet_id)
+    verdict[row] = check.verdict
+    entry = np.full(len(lanelets), -1, dtype=np.int64)
+    entry[row] = np.arange(len(row))
+    lone = np.flatnonzero(free & (verdict == "unmatched") & (counts.all <= 1))
+    full = np.flatnonzero(
+        (entry >= 0) & (check.lanes_osm > 0)[entry] & (check.lanes_map >= check.lanes_osm)[entry]
+    )
+    out = []
+    for k, n in _side_by_side(lanelet_map, facts, lone, full):
+        i = int(entry[n])
+        reason = (
+            f"a fragment without predecessor and successor beside lanelet {lanelets.id[n]}; {check.reason[i]}"
+        )
+        out.append(Removed(int(lanelets.id[k]), int(check.way_id[i]), f"{reason} without it"))
+    return out
+
+
+def _side_by_side(
+    lanelet_map: LaneletMap, facts: LaneletFacts, lone: Ints, full: Ints
+) -> list[tuple[int, int]]:
+    """(lone, neighbour) rows: the nearest of `full` that runs along the lone lanelet with hardly a gap."""
+    if not len(lone) or not len(full):
+        return []
+    line = facts.centreline
+    lines = shapely.linestrings(
+        line.xyz_m[:, :2], indices=np.repeat(np.arange(len(line)), np.diff(line.offset))
+    )
+    middle = shapely.line_interpolate_point(lines[lone], 0.5, normalized=True)
+    width = _widths_m(lanelet_map, facts.lanelets)
+    tree = shapely.STRtree(lines[full])
+    (at, hit), distance = tree.query_nearest(middle, return_distance=True, all_matches=False)
+    k, n = lone[at], full[hit]
+    near = distance <= (width[k] + width[n]) * 0.5 + GAP_M
+    across = np.abs(_heading_at(lines[k], middle[at]) - _heading_at(lines[n], middle[at])) % np.pi
+    along = np.minimum(across, np.pi - across) <= ANGLE_RAD
+    return list(zip(k[near & along].tolist(), n[near & along].tolist(), strict=True))
+
+
+def _widths_m(lanelet_map: LaneletMap, lanelets: Lanelets) -> Floats:
+    """(k,) mean of the widths at start and end."""
+    xy = lanelet_map.xyz_m[end_nodes(lanelet_map, lanelets), :2]
+    widths: Floats = np.hypot(*np.moveaxis(xy[:, [0, 2]] - xy[:, [1, 3]], -1, 0)).mean(axis=1)
+    return widths
+
+
+def _heading_at(lines: NDArray[np.object_], points: NDArray[np.object_]) -> Floats:
+    """(n,) direction of each line at the place nearest to its point, radians."""
+    at = shapely.line_locate_point(lines, points)
+    ends = [shapely.get_coordinates(shapely.line_interpolate_point(lines, at + step)) for step in (-0.5, 0.5)]
+    run = ends[1] - ends[0]
+    heading: Floats = np.arctan2(run[:, 1], run[:, 0])
+    return heading
 
 
 def _connected(lanelet_map: LaneletMap, lanelets: Lanelets) -> Bools:

@@ -14,7 +14,7 @@ from flexmap_tasks.model.maps import Lanelets, PlacedRoads
 from flexmap_tasks.model.osm import rows_of
 
 NO_LANES = "OSM names no number of lanes"
-NOT_COUNTED = "the lanelet is on no centreline"
+NOT_COUNTED = "lanes are not counted in a junction, nor on no centreline"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -91,12 +91,14 @@ def check_lanes(
     road: Ints,
     sense: Ints,
     counted: Bools,
+    in_junction: Bools,
     counts: LaneCounts,
     roads: PlacedRoads,
 ) -> LaneCheck:
     """Compare each lanelet (its row before cutting: `source`) with its way (row `road`, -1 for none).
 
-    Only lanelets with `counted` are listed; columns have one entry per lanelet.
+    Only lanelets with `counted` are listed. Through a junction lanes spread out: nothing is compared there.
+    Columns have one entry per lanelet.
     """
     keep = np.flatnonzero(counted)
     keep = keep[np.argsort(lanelet_id[keep], kind="stable")]
@@ -109,6 +111,7 @@ def check_lanes(
     lanes_osm = np.array([e.lanes for e in table], dtype=np.int64)[at]
     one_direction = np.array([e.one_direction for e in table], dtype=bool)[at]
     lanes_map = np.where(one_direction, counts.same[source[keep]], counts.all[source[keep]])
+    lanes_map[in_junction[keep]] = -1
     unmatched, unknown = road[keep] < 0, (lanes_osm < 0) | (lanes_map < 0)
     verdict = np.where(lanes_map == lanes_osm, "agree", "differ")
     verdict = np.where(unmatched, "unmatched", np.where(unknown, "unknown", verdict))

@@ -59,20 +59,20 @@ NOTHING = Offer()
 
 
 def offer(rule: TransferRule, tags: Mapping[str, str], sense: int, params: TransferParams) -> Offer:
-    """What a way with these tags offers a lanelet that runs along it (`sense` +1) or against it (-1)."""
+    """What a way with these tags offers a lanelet that runs along it (+1), against it (-1) or both ways (0)."""
     match rule.parser:
         case "speed":
-            return _speed(rule.key, tags, sense, params)
+            return _speed(rule, tags, sense, params)
         case "subtype":
-            return _subtype(tags.get(rule.key, "").strip(), params)
+            return _subtype(_directed(rule, tags, 1), params)
         case "location":
             return _location(tags, rule.key, params)
         case "oneway":
             return _one_way(tags, sense)
         case "word":
-            return _word(_directed(rule.key, tags, sense))
+            return _word(_directed(rule, tags, sense))
         case _:
-            return _text(_directed(rule.key, tags, sense))
+            return _text(_directed(rule, tags, sense))
 
 
 def one_way_sense(tags: Mapping[str, str]) -> int | None:
@@ -132,10 +132,14 @@ def count(text: str) -> int | None:
     return int(text) if re.fullmatch(r"[0-9]{1,2}", text) and int(text) > 0 else None
 
 
-def _directed(key: str, tags: Mapping[str, str], sense: int) -> str:
-    """The value for this direction of the way, else the one for both."""
-    side = tags.get(f"{key}:forward" if sense > 0 else f"{key}:backward", "").strip()
-    return side or tags.get(key, "").strip()
+def _directed(rule: TransferRule, tags: Mapping[str, str], sense: int) -> str:
+    """The value for this direction of the way, else the one for both; two values where both directions differ."""
+    for key in (rule.key, *rule.variants):
+        sides = {1: ("forward",), -1: ("backward",)}.get(sense, ("forward", "backward"))
+        found = {tags.get(f"{key}:{side}", "").strip() or tags.get(key, "").strip() for side in sides}
+        if found != {""}:
+            return ";".join(sorted(found - {""}))
+    return ""
 
 
 def _text(value: str) -> Offer:
@@ -155,7 +159,8 @@ def _word(value: str) -> Offer:
     return Offer(parts.pop())
 
 
-def _speed(key: str, tags: Mapping[str, str], sense: int, params: TransferParams) -> Offer:
+def _speed(rule: TransferRule, tags: Mapping[str, str], sense: int, params: TransferParams) -> Offer:
+    key = rule.key
     also = "; ".join(
         f"{k}={tags[k]}"
         for k in sorted(tags)
@@ -163,7 +168,7 @@ def _speed(key: str, tags: Mapping[str, str], sense: int, params: TransferParams
         and (k.endswith(":conditional") or k == f"{key}:variable")
         and tags[k].strip()
     )
-    text = _directed(key, tags, sense) or tags.get(f"{key}:lanes", "").strip()
+    text = _directed(rule, tags, sense) or tags.get(f"{key}:lanes", "").strip()
     if not text:
         return Offer(also=also)
     speed = speed_kmh(text, params.zone_speeds_kmh)
@@ -209,4 +214,4 @@ def _one_way(tags: Mapping[str, str], sense: int) -> Offer:
         return Offer(
             tags["oneway"].strip()[:TEXT_LENGTH_MAX], problem="a direction that changes or is unknown"
         )
-    return Offer("yes") if road == sense else NOTHING
+    return Offer("yes") if road and sense in (0, road) else NOTHING

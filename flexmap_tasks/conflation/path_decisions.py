@@ -12,7 +12,7 @@ from flexmap_tasks.conflation.path_samples import Samples
 from flexmap_tasks.conflation.path_states import best_states
 from flexmap_tasks.conflation.road_graph import RoadGraph
 from flexmap_tasks.geometry.lanelets import join
-from flexmap_tasks.model.arrays import Floats, Ints
+from flexmap_tasks.model.arrays import Bools, Floats, Ints
 
 JUNCTION_REACH_M = 15.0
 """A run that ends this near to a junction, where the next begins, reaches up to it."""
@@ -59,17 +59,73 @@ class RunParts:
     way_to_m: Floats
 
 
+def chosen_states(samples: Samples, posterior: Posterior) -> Ints:
+    """(n,) the likeliest state of every sample, with the last word on turns for what lies at their ends.
+
+    A junction connector belongs to the road it comes from up to its middle, then to the one it leads to. Where
+    one of them does not exist the geometry of the turn alone would let the other have all of it; where both
+    exist no part of it is without a road.
+    """
+    states = posterior.states
+    best = best_states(states, posterior.probability)
+    nowhere = states.offset[1:] - 1
+    probability = posterior.probability.copy()
+    probability[nowhere] = -1.0
+    on_road = best_states(states, probability)
+    ahead, behind = _ends_nowhere(samples, states.link[best] < 0)
+    bundle = samples.bundle
+    place = np.arange(len(samples)) - samples.offset[bundle]
+    late = 2 * place + 1 > np.diff(samples.offset)[bundle]
+    lost = np.where(late, ahead[bundle] & ~behind[bundle], behind[bundle] & ~ahead[bundle])
+    whole = ~ahead[bundle] & ~behind[bundle]
+    turned = np.where(lost, nowhere, np.where(whole, on_road, best))
+    return np.where(samples.connector, turned, best)
+
+
+def _certainty(samples: Samples, graph: RoadGraph, posterior: Posterior, best: Ints) -> Floats:
+    """(n,) probability of the chosen states; in a turn, of any of the roads that it joins.
+
+    Where inside a junction one road ends and the next begins is a matter of drawing, and no doubt.
+    """
+    states = posterior.states
+    link = states.link[best]
+    crossing = samples.bundle[samples.edges[:, 0]] != samples.bundle[samples.edges[:, 1]]
+    a, b = samples.edges[crossing].T
+    base = len(graph) + 1
+    joined = np.concatenate(
+        [samples.bundle * base + link, samples.bundle[a] * base + link[b], samples.bundle[b] * base + link[a]]
+    )
+    of = states.sample
+    counts = (states.link >= 0) & np.isin(samples.bundle[of] * base + states.link, joined)
+    either = np.bincount(of[counts], weights=posterior.probability[counts], minlength=len(samples))
+    certain: Floats = np.where(samples.connector & (link >= 0), either, posterior.probability[best])
+    return np.minimum(certain, 1.0)
+
+
+def _ends_nowhere(samples: Samples, missing: Bools) -> tuple[Bools, Bools]:
+    """Per bundle: nothing that it leads to, nothing that leads to it, lies on a road."""
+    a, b = samples.edges[samples.bundle[samples.edges[:, 0]] != samples.bundle[samples.edges[:, 1]]].T
+    n = len(samples.length_m)
+    on_road = [
+        np.bincount(samples.bundle[here], weights=~missing[there], minlength=n)
+        for here, there in ((a, b), (b, a))
+    ]
+    return on_road[0] == 0, on_road[1] == 0
+
+
 def runs_of(samples: Samples, graph: RoadGraph, posterior: Posterior) -> Runs:
     """The likeliest place of every sample, neighbours on the same road joined."""
     states = posterior.states
-    best = best_states(states, posterior.probability)
+    best = chosen_states(samples, posterior)
     link, direction = states.link[best], states.direction[best]
     n = len(samples)
     same = (samples.bundle[1:] == samples.bundle[:-1]) & (link[1:] == link[:-1])
     same &= direction[1:] == direction[:-1]
+    # On a ring the end of the link is next to its start: going round past it begins a new run.
+    s = states.s_m[best]
+    same &= (s[1:] - s[:-1]) * direction[1:] > -JUNCTION_REACH_M
     first = np.flatnonzero(np.append(True, ~same)[:n])
     last = np.append(first[1:], n)[: len(first)] - 1
-    s = states.s_m[best]
     shifted = np.hypot(*(states.offset_m[best] - posterior.shift_m).T)
     size = last - first + 1
 
@@ -80,7 +136,7 @@ def runs_of(samples: Samples, graph: RoadGraph, posterior: Posterior) -> Runs:
     lo, hi, s_lo, s_hi = _borders(samples, graph, bundle, first, last, link, direction, s)
     return Runs(
         bundle, first, last, lo, hi, link[first], direction[first], s_lo, s_hi,
-        mean(posterior.probability[best]), mean(shifted), mean(states.angle_deg[best]),
+        mean(_certainty(samples, graph, posterior, best)), mean(shifted), mean(states.angle_deg[best]),
     )  # fmt: skip
 
 
@@ -145,7 +201,7 @@ def _sign(runs: Runs) -> Floats:
 def _knots(samples: Samples, posterior: Posterior, runs: Runs) -> tuple[Ints, Floats, Floats]:
     """(run, metres along the link in the direction of travel, metres along the bundle), never backwards."""
     states = posterior.states
-    s = states.s_m[best_states(states, posterior.probability)]
+    s = states.s_m[chosen_states(samples, posterior)]
     place = (np.arange(len(samples)) - samples.offset[samples.bundle] + 0.5) * samples.step_m
     n = len(runs.bundle)
     of = np.repeat(np.arange(n), runs.last - runs.first + 1)
@@ -208,5 +264,3 @@ def _on_ways(
 def offsets_m(graph: RoadGraph) -> Floats:
     """(k + 1,) metres before each link when all are laid end to end."""
     return np.append(0.0, np.cumsum(graph.length_m))
-
-

@@ -9,7 +9,7 @@ import numpy as np
 from flexmap_tasks.config import PathParams
 from flexmap_tasks.conflation.path_offsets import displacement
 from flexmap_tasks.conflation.path_samples import Samples
-from flexmap_tasks.conflation.path_states import States, link_costs, near_segments, states_of
+from flexmap_tasks.conflation.path_states import States, near_costs, near_segments, states_of
 from flexmap_tasks.conflation.road_graph import RoadGraph, node_distances
 from flexmap_tasks.geometry.beliefs import beliefs
 from flexmap_tasks.geometry.transitions import Net, pair_weights
@@ -17,7 +17,8 @@ from flexmap_tasks.model.arrays import Floats
 from flexmap_tasks.model.maps import RoadNetwork
 
 DISTANCE_LIMIT_M = 40.0
-SWEEPS = 8
+SWEEPS, LAST_SWEEPS = 3, 8
+"""Sweeps while displacement is being estimated, and for the outcome."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -42,7 +43,7 @@ def infer(samples: Samples, graph: RoadGraph, network: RoadNetwork, params: Path
     roads are estimated from the outcome, round by round.
     """
     near = near_segments(samples, graph, params.radius_m)
-    cost = link_costs(network, graph, params)
+    cost = near_costs(samples, graph, network, near, params)
     net = Net(graph.tail, graph.head, graph.length_m, *node_distances(graph, DISTANCE_LIMIT_M))
     turning = np.maximum(samples.connector[samples.edges[:, 0]], samples.connector[samples.edges[:, 1]])
     scale = np.where(turning, 2.0, 1.0) * params.detour_m
@@ -53,7 +54,8 @@ def infer(samples: Samples, graph: RoadGraph, network: RoadNetwork, params: Path
             states.offset, states.link, states.direction, states.s_m, samples.edges, samples.edge_m, scale,
             net, params.jump_cost, params.gap_cost,
         )  # fmt: skip
-        probability = beliefs(states.offset, np.exp(-states.cost), samples.edges, offset, pair, SWEEPS)
+        sweeps = SWEEPS if k + 1 < params.rounds else LAST_SWEEPS
+        probability = beliefs(states.offset, np.exp(-states.cost), samples.edges, offset, pair, sweeps)
         if k + 1 < params.rounds:
             shift, sigma = displacement(samples, states, probability)
     return Posterior(states, probability, shift, sigma)

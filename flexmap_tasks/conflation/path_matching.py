@@ -17,6 +17,10 @@ from flexmap_tasks.model.maps import LaneletMap, PlacedRoads
 
 ANGLE_LIMIT_DEG, DISTANCE_LIMIT_M = 20.0, 10.0
 """Where a score reaches 0: the exclusion limits of the paper for angle and area."""
+BELIEF = (0.0, 0.36, 0.52, 0.65, 0.77, 0.88, 0.95, 1.0)
+RIGHT = (0.2, 0.45, 0.76, 0.87, 0.93, 0.955, 0.99, 0.998)
+"""How often a road believed in this much is the right one, by metre over simulated towns with 2 to 5 m of noise:
+beliefs count neighbouring samples as if they were one, and so are too modest."""
 
 
 def match_by_paths(
@@ -29,7 +33,10 @@ def match_by_paths(
     runs = runs_of(samples, graph, posterior)
     parts = parts_of(samples, graph, posterior, runs)
     homes = Homes(
-        centerlines.members.lanelet_id, samples.home, np.zeros(len(samples.home), dtype=bool), samples.length_m
+        centerlines.members.lanelet_id,
+        samples.home,
+        np.zeros(len(samples.home), dtype=bool),
+        samples.length_m,
     )
     laid = LinePieces(
         runs.bundle[parts.run], parts.from_m, parts.to_m, np.arange(len(parts.run)),
@@ -52,8 +59,11 @@ def _rows(
     way_from = np.where(hit, _pick(parts.way_from_m, at), np.nan)
     way_to = np.where(hit, _pick(parts.way_to_m, at), np.nan)
     angle, distance = _pick(runs.angle_deg, run), _pick(runs.distance_m, run)
-    fit = 1.0 - np.minimum(angle / ANGLE_LIMIT_DEG, 1.0) / 2 - np.minimum(distance / DISTANCE_LIMIT_M, 1.0) / 2
-    confidence = np.where(bare, 1.0, _pick(runs.probability, run))
+    fit = (
+        1.0 - np.minimum(angle / ANGLE_LIMIT_DEG, 1.0) / 2 - np.minimum(distance / DISTANCE_LIMIT_M, 1.0) / 2
+    )
+    certain = _pick(runs.probability, run)
+    confidence = np.where(bare, 1.0, np.where(hit, np.interp(certain, BELIEF, RIGHT), certain))
     against = _against(graph, runs)
     decision, reason = _decided(hit, bare, confidence, np.append(against, False)[run], params)
     length = _pick(parts.to_m - parts.from_m, at)

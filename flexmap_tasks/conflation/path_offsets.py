@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.sparse import coo_array
+from scipy.sparse import coo_array, csr_array
 from scipy.spatial import cKDTree
 
 from flexmap_tasks.conflation.path_samples import Samples
@@ -15,8 +15,9 @@ REACH_M = 40.0
 """Standard deviation of the kernel over which displacements are alike."""
 PRIOR_M = 15.0
 """A local displacement is believed half when this length of road, weighed by the kernel, shows it."""
-SIGMA_MIN_M, SIGMA_MAX_M = 0.5, 6.0
+SIGMA_MIN_M, SIGMA_MAX_M = 1.0, 6.0
 SURE = 0.6
+USUAL_MIN_M = 1.0
 
 
 def displacement(samples: Samples, states: States, probability: Floats) -> tuple[Floats, float]:
@@ -35,12 +36,15 @@ def displacement(samples: Samples, states: States, probability: Floats) -> tuple
     seen = np.einsum("ij,ij->i", states.offset_m[best[rows]], normal)
     weight = probability[best[rows]] * samples.step_m[rows]
     overall = _solve(*_sums(normal, seen, weight, np.zeros(len(rows), dtype=np.int64), 1), PRIOR_M)[0]
-    cell, of = np.unique(np.floor(samples.point_m / CELL_M).astype(np.int64), axis=0, return_inverse=True)
+    grid = np.floor((samples.point_m - samples.point_m.min(axis=0)) / CELL_M).astype(np.int64)
+    cell, of = np.unique(grid, axis=0, return_inverse=True)
     of = of.ravel()
     rest = seen - normal @ overall
-    sums = _sums(normal, rest, weight, of[rows], len(cell))
-    kernel = _kernel(cell * CELL_M)
-    shift = overall + _solve(*(kernel @ s for s in sums), PRIOR_M)[of]
+    # A wrong road far away must not pull its surroundings over to it.
+    usual = max(1.4826 * _weighted_median(np.abs(rest), weight), USUAL_MIN_M)
+    sums = _sums(normal, rest, weight * 4.0 / (3.0 + (rest / usual) ** 2), of[rows], len(cell))
+    kernel = _kernel(np.asarray(cell * CELL_M, dtype=np.float64))
+    shift = overall + _solve(kernel @ sums[0], kernel @ sums[1], PRIOR_M)[of]
     left = np.abs(seen - np.einsum("ij,ij->i", normal, shift[rows]))
     sigma = 1.4826 * _weighted_median(left, weight)
     return shift, float(np.clip(1.25 * sigma, SIGMA_MIN_M, SIGMA_MAX_M))
@@ -62,7 +66,8 @@ def _solve(matrix: Floats, side: Floats, prior: float) -> Floats:
     return np.stack([x, y], axis=1)
 
 
-def _kernel(centre_m: Floats) -> coo_array:
+def _kernel(centre_m: Floats) -> csr_array:
+    """(n, n) weight of every cell for every other, 1 for itself."""
     tree = cKDTree(centre_m)
     pairs = tree.query_pairs(2.5 * REACH_M, output_type="ndarray")
     pairs = pairs[np.lexsort((pairs[:, 1], pairs[:, 0]))]
@@ -73,7 +78,10 @@ def _kernel(centre_m: Floats) -> coo_array:
     return coo_array(
         (
             np.concatenate([np.ones(n), value, value]),
-            (np.concatenate([every, pairs[:, 0], pairs[:, 1]]), np.concatenate([every, pairs[:, 1], pairs[:, 0]])),
+            (
+                np.concatenate([every, pairs[:, 0], pairs[:, 1]]),
+                np.concatenate([every, pairs[:, 1], pairs[:, 0]]),
+            ),
         ),
         shape=(n, n),
     ).tocsr()

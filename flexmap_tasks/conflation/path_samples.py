@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from flexmap_tasks.conflation.collapse import members_as_lanelets
 from flexmap_tasks.geometry.lanelets import along_m, lengths_m, offsets
@@ -15,6 +16,11 @@ from flexmap_tasks.model.maps import LaneletMap, Lanelets
 
 CONNECTOR_MAX_M = 80.0
 """A lane that branches off at a junction and is longer than this is a road of its own."""
+
+BEND_MAX_M, BEND_MIN_DEG = 40.0, 45.0
+STRAY_MAX_M = 20.0
+STACK_REACH_M, STACK_MIN_M = 8.0, 3.0
+TWIN_MAX_M, TWIN_ALONG_M, TWIN_COS = 30.0, 6.0, -0.9
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -29,9 +35,12 @@ class Samples:
     bundle : (n,) int64; step_m : (n,) float64, the length a sample stands for
     point_m : (n, 2) float64, on the centreline; heading : (n, 2) float64, unit vectors of travel
     lone : (n,) bool, no lane comes towards it here; aside_m : (n,) float64, from the point to the middle of
-    its own lanes, positive to the right of travel; half_m : (n,) float64, half the width of its lanes
+    its own lanes, positive to the right of travel; inner_m : (n,) float64, from the point to
+    where the middle of the road could lie at most, positive to the left in traffic on the right
     turn_deg : (n,) float64, how far a junction connector turns in all, 0 for other lanes
-    connector : (n,) bool
+    connector : (n,) bool; stray : (n,) bool, of a short lanelet that nothing leads to or from
+
+    level : (n,) int64, +1 where another carriageway runs below, -1 where one runs above, else 0
 
     edges : (e, 2) int64, samples that follow each other; edge_m : (e,) float64, metres between them
     """
@@ -47,9 +56,11 @@ class Samples:
     heading: Floats
     lone: Bools
     aside_m: Floats
-    half_m: Floats
+    inner_m: Floats
     turn_deg: Floats
     connector: Bools
+    stray: Bools
+    level: Ints
     edges: Ints
     edge_m: Floats
 
@@ -79,14 +90,17 @@ def samples_of(centerlines: Centerlines, lanelet_map: LaneletMap, spacing_m: flo
     side = _kerb_side(centerlines)
     follow = lanes.follow_pairs(lanelet_map, lanelets)
     turn, connector = _connectors(lanelets, follow, home, offset, heading, length)
+    stray = ~np.isin(np.arange(len(count)), home[follow]) & (length < STRAY_MAX_M)
     edges, edge_m = _edges(offset, home, follow, length / count)
     return Samples(
         centerline, direction, offset, length, home, bundle, (length / count)[bundle], point, heading,
         lone=(own == every)[bundle],
         aside_m=(side * (every - own) / 2)[bundle],
-        half_m=(own / 2)[bundle] * side,
+        inner_m=side * _inner_m(point, heading, side, (own / 2)[bundle], (own == every)[bundle] & ~connector[bundle]),
         turn_deg=turn[bundle],
         connector=connector[bundle],
+        stray=stray[bundle],
+        level=_levels(point, _heights_m(lanelet_map, lanelets, home, offset)),
         edges=edges,
         edge_m=edge_m,
     )  # fmt: skip
@@ -124,6 +138,54 @@ def _widths_m(lanelet_map: LaneletMap, lanelets: Lanelets) -> Floats:
     return width
 
 
+def _heights_m(lanelet_map: LaneletMap, lanelets: Lanelets, home: Ints, offset: Ints) -> Floats:
+    """(n,) height of every sample, as the first lanelet of its bundle has it at the nearest vertex."""
+    line = lanes.centrelines(lanelet_map, lanelets)
+    count = np.diff(offset)
+    first = np.unique(home, return_index=True)[1]
+    bundle = np.repeat(np.arange(len(count)), count)
+    share = (np.arange(offset[-1]) - offset[bundle] + 0.5) / count[bundle]
+    vertex = np.rint(share * (np.diff(line.offset)[first][bundle] - 1)).astype(np.int64)
+    height: Floats = line.xyz_m[line.offset[first][bundle] + vertex, 2]
+    return height
+
+
+def _levels(point_m: Floats, height_m: Floats) -> Ints:
+    """(n,) whether something is mapped right below (+1) or above (-1) a sample."""
+    if len(point_m) < 2:
+        return np.zeros(len(point_m), dtype=np.int64)
+    pairs = cKDTree(point_m).query_pairs(STACK_REACH_M, output_type="ndarray")
+    step = height_m[pairs[:, 0]] - height_m[pairs[:, 1]]
+    apart = np.abs(step) > STACK_MIN_M
+    pairs, sign = pairs[apart], np.sign(step[apart])
+    total = np.bincount(pairs[:, 0], weights=sign, minlength=len(point_m))
+    total -= np.bincount(pairs[:, 1], weights=sign, minlength=len(point_m))
+    return np.sign(total).astype(np.int64)
+
+
+def _inner_m(point_m: Floats, heading: Floats, side: float, half_m: Floats, lone: Bools) -> Floats:
+    """(n,) how far towards oncoming traffic the middle of the road may lie.
+
+    Half the width of the lanes, or, where another carriageway runs the other way beside this one, half of what
+    lies between them: a road with a median may be drawn as one line.
+    """
+    rows = np.flatnonzero(lone)
+    out = half_m.copy()
+    if len(rows) < 2:
+        return out
+    pairs = rows[cKDTree(point_m[rows]).query_pairs(TWIN_MAX_M, output_type="ndarray")]
+    a, b = np.concatenate([pairs, pairs[:, ::-1]]).T
+    opposed = np.einsum("ij,ij->i", heading[a], heading[b]) < TWIN_COS
+    a, b = a[opposed], b[opposed]
+    to = point_m[b] - point_m[a]
+    along = np.abs(np.einsum("ij,ij->i", to, heading[a]))
+    inwards = side * (heading[a, 0] * to[:, 1] - heading[a, 1] * to[:, 0])
+    beside = (inwards > half_m[a]) & (along < TWIN_ALONG_M)
+    nearest = np.full(len(point_m), np.inf)
+    np.minimum.at(nearest, a[beside], inwards[beside] / 2)
+    return np.where(np.isfinite(nearest), np.maximum(out, nearest), out)
+
+
 def _kerb_side(centerlines: Centerlines) -> float:
     """+1.0 where traffic keeps to the right, -1.0 to the left; as the two-way centrelines of the map show."""
     members = centerlines.members
@@ -144,9 +206,11 @@ def _connectors(
     shared[follow[into[follow[:, 1]] > 1, 0]] = True
     connector = np.zeros(len(length_m), dtype=bool)
     connector[home[shared]] = True
-    connector &= length_m < CONNECTOR_MAX_M
     a, b = heading[offset[:-1]], heading[offset[1:] - 1]
     turn = np.degrees(np.abs(np.arctan2(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0], np.einsum("ij,ij->i", a, b))))
+    # A sharp short bend is a turn as well, though it be the only way on.
+    connector |= (length_m < BEND_MAX_M) & (turn > BEND_MIN_DEG)
+    connector &= length_m < CONNECTOR_MAX_M
     return np.where(connector, turn, 0.0), connector
 
 

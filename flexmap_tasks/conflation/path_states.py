@@ -9,12 +9,13 @@ import shapely
 
 from flexmap_tasks.config import PathParams
 from flexmap_tasks.conflation.path_samples import Samples
-from flexmap_tasks.conflation.road_graph import RoadGraph, tag
+from flexmap_tasks.conflation.road_graph import RoadGraph, layer_of, tag
 from flexmap_tasks.geometry.lanelets import offsets
 from flexmap_tasks.geometry.segments import first_of_groups, project
-from flexmap_tasks.model.arrays import Floats, Ints
+from flexmap_tasks.model.arrays import Bools, Floats, Ints
 from flexmap_tasks.model.maps import RoadNetwork
 
+TURN_ABSENCE, STRAY_ABSENCE = 0.8, 0.5
 MISFIT_MAX = 8.0
 """One sample cannot say more than this against a place."""
 
@@ -78,15 +79,31 @@ def link_costs(network: RoadNetwork, graph: RoadGraph, params: PathParams) -> Fl
     return cost
 
 
+def near_costs(
+    samples: Samples, graph: RoadGraph, network: RoadNetwork, near: Near, params: PathParams
+) -> Floats:
+    """(p,) what speaks against a pair whatever its distance: the kind of road, and the wrong one of two levels."""
+    n, link = len(samples), graph.link[near.segment]
+    layer = layer_of(network, graph)[link]
+    highest, lowest = np.full(n, -99), np.full(n, 99)
+    np.maximum.at(highest, near.sample, layer)
+    np.minimum.at(lowest, near.sample, layer)
+    level = samples.level[near.sample]
+    wrong = ((level > 0) & (layer < highest[near.sample])) | ((level < 0) & (layer > lowest[near.sample]))
+    cost: Floats = link_costs(network, graph, params)[link] + params.level_cost * wrong
+    return cost
+
+
 def states_of(
-    samples: Samples, graph: RoadGraph, near: Near, link_cost: Floats, shift_m: Floats, sigma_m: float,
+    samples: Samples, graph: RoadGraph, near: Near, near_cost: Floats, shift_m: Floats, sigma_m: float,
     params: PathParams,
 ) -> States:  # fmt: skip
     """Best place per sample and link, the cheapest `params.candidates` of each sample, and no counterpart.
 
     shift_m : (n, 2) float64, by how much roads are displaced against the lanelets here; sigma_m : the scatter
     about it. Expected is a two-way road in the middle between both directions (between the sample's own middle
-    and its inner edge where no lane comes towards it), a one-way road in the middle of the sample's own lanes.
+    and its inner edge where no lane comes towards it), a one-way road between there and the middle of the
+    sample's own lanes.
     """
     sample, segment = near.sample, near.segment
     point = samples.point_m[sample] + shift_m[sample]
@@ -110,7 +127,7 @@ def states_of(
     # Student's t with three degrees of freedom: here and there a road is far more displaced than the rest.
     cost = 2.0 * np.log1p(np.einsum("ij,ij->i", rest, rest) / spread2 / 3.0)
     cost = cost + np.minimum((angle / angle_scale) ** 2 / 2, MISFIT_MAX)
-    cost = cost + link_cost[link] + params.wrong_way_cost * (along_way < 0)
+    cost = cost + near_cost + params.wrong_way_cost * (along_way < 0)
     s = graph.s_m[segment] + t * length
     best = first_of_groups(sample * len(graph) + link, cost, segment)
     place = best[np.lexsort((link[best], np.round(cost[best], 9), sample[best]))]
@@ -123,7 +140,7 @@ def states_of(
     at = np.arange(len(place)) + sample[place]
     total = int(offset[-1])
     weight = samples.step_m[sample[place]] / params.correlation_m
-    nowhere = samples.step_m / params.correlation_m * params.absent_cost
+    nowhere = samples.step_m / params.correlation_m * params.absent_cost * _absence(samples)
     out = States(
         offset, np.full(total, -1, dtype=np.int64), np.zeros(total, dtype=np.int64), np.zeros(total),
         np.zeros(total), np.zeros((total, 2)), np.zeros(total),
@@ -134,13 +151,25 @@ def states_of(
     return out
 
 
-def _expected(samples: Samples, sample: Ints, directed: np.ndarray) -> tuple[Floats, Floats]:
+def _expected(samples: Samples, sample: Ints, directed: Bools) -> tuple[Floats, Floats]:
     """Where the road should lie to the right of the sample, from and to, metres."""
-    inner = -samples.half_m[sample]
+    inner = -samples.inner_m[sample]
     low = np.where(samples.lone[sample], np.minimum(inner, 0.0), 0.0)
     high = np.where(samples.lone[sample], np.maximum(inner, 0.0), 0.0)
+    # Where both directions lie side by side a one-way road is one carriageway, or the tag is wrong.
     own = samples.aside_m[sample]
-    return np.where(directed, own, low), np.where(directed, own, high)
+    return np.where(directed, np.minimum(own, 0.0), low), np.where(directed, np.maximum(own, 0.0), high)
+
+
+def _absence(samples: Samples) -> Floats:
+    """How easily a sample may have no counterpart, 1 for a lane of a road.
+
+    A turn leaves one road before it reaches the next, which may not exist; a short lanelet that leads nowhere
+    may stand for nothing.
+    """
+    turning = 1.0 - TURN_ABSENCE * np.minimum(samples.turn_deg, 90.0) / 90.0
+    share: Floats = np.where(samples.stray, STRAY_ABSENCE, turning)
+    return share
 
 
 def _junction_m(samples: Samples) -> Floats:

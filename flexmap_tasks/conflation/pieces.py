@@ -96,7 +96,7 @@ def lanelet_pieces(home: Homes, pieces: LinePieces, length_m: Floats) -> Lanelet
     has no length) gets one over its whole length with interval -1.
     """
     down = pieces.from_m > pieces.to_m
-    low, high = np.minimum(pieces.from_m, pieces.to_m), np.maximum(pieces.from_m, pieces.to_m)
+    low = np.minimum(pieces.from_m, pieces.to_m)
     share_low = np.where(down, pieces.share_to, pieces.share_from)
     share_high = np.where(down, pieces.share_from, pieces.share_to)
     order = np.lexsort((low, pieces.line))

@@ -45,7 +45,9 @@ def _check_cover(roads: RoadNetwork, xy_m: Floats, gnss: GnssTrack, projection: 
         rule = "it holds no road vehicles drive on; give an extract that covers the track, or leave OSM out"
         raise CoverageError("OpenStreetMap", rule)
     if not np.isfinite(xy_m).all():
-        rule = f"its roads reach too far from the track to be placed in zone {projection.zone}; cut the extract"
+        rule = (
+            f"its roads reach too far from the track to be placed in zone {projection.zone}; cut the extract"
+        )
         raise CoverageError("OpenStreetMap", f"{rule}. Roads: {_box(roads.lonlat_deg)}")
     near = shapely.STRtree(road_lines(xy_m, roads.offset)).query(
         shapely.points(places), predicate="dwithin", distance=NEAR_M

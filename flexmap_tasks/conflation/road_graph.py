@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,6 +16,7 @@ from flexmap_tasks.model.maps import PlacedRoads, RoadNetwork
 
 ONE_WAY_YES, ONE_WAY_BACK, ONE_WAY_NO = ("yes", "true", "1"), ("-1", "reverse"), ("no", "false", "0")
 IMPLIED_ONE_WAY = ("motorway", "motorway_link")
+LAYER = re.compile(r"[+-]?[0-9]{1,2}")
 RINGS = ("roundabout", "circular")
 LINK_KEYS = ("highway", "junction", "service", "access", "layer", "bridge", "tunnel")
 """A link ends where one of these changes, or the direction of travel."""
@@ -165,6 +167,15 @@ def node_distances(graph: RoadGraph, limit_m: float) -> tuple[Ints, Ints, Floats
         front = np.flatnonzero(fresh)
     offset = np.searchsorted(source, np.arange(graph.nodes + 1))
     return offset.astype(np.int64), target, metres
+
+
+def layer_of(network: RoadNetwork, graph: RoadGraph) -> Ints:
+    """(k,) layer per link: as tagged, else +1 for bridges, -1 for tunnels, 0 for the rest."""
+    layer = tag(network, graph, "layer")
+    known, number = np.unique(layer, return_inverse=True)
+    value = np.array([int(v) if LAYER.fullmatch(v) else 0 for v in known], dtype=np.int64)[number.ravel()]
+    bridge, tunnel = (~np.isin(tag(network, graph, key), ("None", "no")) for key in ("bridge", "tunnel"))
+    return np.where(value != 0, value, bridge.astype(np.int64) - tunnel)
 
 
 def tag(network: RoadNetwork, graph: RoadGraph, key: str) -> Strings:

@@ -17,7 +17,7 @@ from flexmap_tasks.model.arrays import Floats, Ints, strings
 from flexmap_tasks.model.maps import LaneletMap
 from flexmap_tasks.model.osm import OsmDocument, OsmNodes, OsmRelations, OsmWays, Tags, node_rows, rows_of
 
-NODE, WAY, LANELET = 1, 2, 3
+RULE, NODE, WAY, LANELET = 0, 1, 2, 3
 _ID_BITS = 30
 """New ids lie in 2**30 to 2**31, where no map maker's do and 32 bits still hold them."""
 _PLACE_PER_M = 10.0
@@ -43,7 +43,7 @@ class Pieces:
         return len(self.source)
 
 
-class _Ids:
+class NewIds:
     """New ids from what they stand for (splitmix64 finaliser), clear of all ids in the document."""
 
     def __init__(self, document: OsmDocument) -> None:
@@ -51,6 +51,7 @@ class _Ids:
         self.used = set(np.concatenate([*parts, document.ways.ref]).tolist())
 
     def new(self, kind: int, source: int, place_m: float) -> int:
+        """An id for what is made of `source` at a place."""
         seed = (source * 4 + kind) * 2**24 + round(place_m * _PLACE_PER_M)
         while True:
             seed = (seed + 0x9E3779B97F4A7C15) % 2**64
@@ -75,7 +76,7 @@ def cut_map(lanelet_map: LaneletMap, facts: LaneletFacts, plan: CutPlan) -> tupl
     """The map after all cuts, and what became of its lanelets."""
     if not plan.ways:
         return lanelet_map, whole(facts)
-    document, ids = lanelet_map.document, _Ids(lanelet_map.document)
+    document, ids = lanelet_map.document, NewIds(lanelet_map.document)
     ways = sorted(plan.ways, key=lambda w: int(document.ways.id[w]))
     new_nodes, xyz_m = _NewNodes(lanelet_map, ids), lanelet_map.xyz_m
     way_pieces = {w: _way_pieces(document, w, plan, ids, new_nodes) for w in ways}
@@ -116,7 +117,7 @@ def _pieces(
 class _NewNodes:
     """Nodes made by cuts, interpolated between two of the map."""
 
-    def __init__(self, lanelet_map: LaneletMap, ids: _Ids) -> None:
+    def __init__(self, lanelet_map: LaneletMap, ids: NewIds) -> None:
         self.map, self.ids = lanelet_map, ids
         self.node_rows = node_rows(lanelet_map.document)
         self.id: list[int] = []
@@ -150,8 +151,8 @@ class _NewNodes:
             lonlat_deg=np.concatenate(
                 [nodes.lonlat_deg, np.array(self.lonlat, dtype=np.float64).reshape(-1, 2)]
             ),
-            attributes=_joined_tags(nodes.attributes, Tags.of(self.attributes)),
-            tags=_joined_tags(nodes.tags, Tags.of(self.tags)),
+            attributes=joined_tags(nodes.attributes, Tags.of(self.attributes)),
+            tags=joined_tags(nodes.tags, Tags.of(self.tags)),
             position=np.concatenate([nodes.position, np.full(len(self.id), last)]),
         )
 
@@ -171,7 +172,8 @@ def _between(a: dict[str, str], b: dict[str, str], t: float) -> dict[str, str]:
     return out
 
 
-def _joined_tags(a: Tags, b: Tags) -> Tags:
+def joined_tags(a: Tags, b: Tags) -> Tags:
+    """The tags of both, one after the other."""
     return Tags(
         np.concatenate([a.offset, a.offset[-1] + b.offset[1:]]),
         np.concatenate([a.key, b.key]),
@@ -180,7 +182,7 @@ def _joined_tags(a: Tags, b: Tags) -> Tags:
 
 
 def _way_pieces(
-    document: OsmDocument, way: int, plan: CutPlan, ids: _Ids, new_nodes: _NewNodes
+    document: OsmDocument, way: int, plan: CutPlan, ids: NewIds, new_nodes: _NewNodes
 ) -> list[tuple[int, list[int]]]:
     """Id and nodes of every piece, in the direction of the way."""
     ways = document.ways
@@ -215,14 +217,14 @@ def _ways(ways: OsmWays, cut: dict[int, list[tuple[int, list[int]]]]) -> OsmWays
             at = first[way] + j
             ids[at], start[at], size[at] = piece_id, len(ways.ref) + len(extra), len(refs)
             extra += refs
-    offset, flat = _ranges(start, size)
+    offset, flat = ranges(start, size)
     ref = np.concatenate([ways.ref, np.array(extra, dtype=np.int64)])[flat]
     return OsmWays(
         ids, offset, ref, ways.attributes.take(source), ways.tags.take(source), ways.position[source]
     )
 
 
-def _ranges(start: Ints, size: Ints) -> tuple[Ints, Ints]:
+def ranges(start: Ints, size: Ints) -> tuple[Ints, Ints]:
     """Offsets, and flat positions start[i], start[i] + 1, ... of size[i] each."""
     offset = np.concatenate([[0], np.cumsum(size)]).astype(np.int64)
     return offset, np.repeat(start - offset[:-1], size) + np.arange(offset[-1])
@@ -247,7 +249,7 @@ def _relations(
         for j, members in enumerate(lists):
             start[first[row] + j], size[first[row] + j] = len(relations.member_ref) + len(extra), len(members)
             extra += members
-    offset, flat = _ranges(start, size)
+    offset, flat = ranges(start, size)
     return OsmRelations(
         id=ids,
         offset=offset,

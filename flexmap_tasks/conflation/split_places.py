@@ -67,7 +67,7 @@ def plan_cuts(
 ) -> CutPlan:
     """Carry each wanted cut through all lanelets that share bounds; drop those that would do harm."""
     planner = _Planner(lanelet_map, facts, params)
-    label = _groups(facts.lanelets)
+    label = tied_groups(facts.lanelets)
     by_group: dict[int, list[Wanted]] = {}
     for w in wanted:
         by_group.setdefault(int(label[w.lanelet]), []).append(w)
@@ -78,7 +78,7 @@ def plan_cuts(
     return planner.plan
 
 
-def _groups(lanelets: Lanelets) -> Ints:
+def tied_groups(lanelets: Lanelets) -> Ints:
     """(k,) int64: equal for lanelets that are tied by shared bounds."""
     k = len(lanelets)
     if not k:
@@ -140,9 +140,15 @@ class _Planner:
         if accepted:
             self._accept(group, accepted)
 
+    def _place_of(self, k: int) -> tuple[float, ...]:
+        """Where a lanelet starts and ends: an order that does not depend on ids."""
+        line = self.facts.centreline
+        ends = line.xyz_m[[line.offset[k], line.offset[k + 1] - 1]]
+        return tuple(ends.ravel().tolist())
+
     def _in_junction(self, members: list[int]) -> bool:
         rows = np.array(members, dtype=np.int64)
-        short = self.facts.length_m[rows] <= self.params.split_junction_max_m
+        short = self.facts.length_m[rows] <= self.params.junction_max_m
         return bool(np.any(self.facts.forks[rows] & short))
 
     def _oriented(self, members: list[int]) -> _Group | None:
@@ -156,7 +162,7 @@ class _Planner:
             users.setdefault(int(lanelets.right_way[k]), []).append(
                 (k, -1 if lanelets.right_inverted[k] else 1)
             )
-        first = min(members, key=lambda k: int(lanelets.id[k]))
+        first = min(members, key=self._place_of)
         group, todo = _Group({first: 1}, {}), [first]
         while todo:
             k = todo.pop()
@@ -217,23 +223,24 @@ class _Planner:
         return np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(middle, axis=0).T))]), share
 
     def _places(self, group: _Group, wanted: list[Wanted]) -> list[tuple[float, Wanted]]:
-        """Shares along the group's axis: wanted cuts within the end distance of each other become one."""
+        """Shares along the group's axis: wanted cuts nearer to each other than to an end become one between them."""
         length = max(float(self.facts.length_m[k]) for k in group.lanelet_sign)
         found = []
         for w in wanted:
             along, share = self._shares(w.lanelet)
             at = float(np.interp(w.s_m, along, share))
             found.append((at if group.lanelet_sign[w.lanelet] > 0 else 1.0 - at, w))
-        found.sort(key=lambda f: (f[0], int(self.facts.lanelets.id[f[1].lanelet])))
+        found.sort(key=lambda f: (f[0], self._place_of(f[1].lanelet)))
         near = self.params.split_end_distance_m / length
-        clusters: list[list[tuple[float, Wanted]]] = []
-        for f in found:
-            if near <= f[0] <= 1.0 - near:
-                if clusters and f[0] - clusters[-1][0][0] <= near:
-                    clusters[-1].append(f)
-                else:
-                    clusters.append([f])
-        return [((c[0][0] + c[-1][0]) * 0.5, c[0][1]) for c in clusters]
+        clusters = [[f] for f in found if near <= f[0] <= 1.0 - near]
+        while len(clusters) > 1:
+            centres = [_centre(c) for c in clusters]
+            gaps = [b - a for a, b in pairwise(centres)]
+            i = gaps.index(min(gaps))
+            if gaps[i] >= near:
+                break
+            clusters[i : i + 2] = [clusters[i] + clusters[i + 1]]
+        return [(_centre(c), c[0][1]) for c in clusters]
 
     def _way_cuts(self, way: int, sign: int, shares: list[float]) -> list[WayCut]:
         """The cuts of a way in its own direction."""
@@ -247,10 +254,14 @@ class _Planner:
         for way, places in cuts.items():
             along = [c.along_m for c in places]
             total = float(self._line(way).along_m[-1])
-            inner = min((b - a for a, b in pairwise(along)), default=PIECE_MIN_M)
+            inner = min((b - a for a, b in pairwise(along)), default=total)
             if min(along[0], total - along[-1]) < min(self.params.split_end_distance_m, 0.25 * total):
                 return "a bound of the carriageway would be cut too near to its end"
-            if inner < PIECE_MIN_M or along[0] < PIECE_MIN_M or total - along[-1] < PIECE_MIN_M:
+            if (
+                inner < max(PIECE_MIN_M, 0.5 * self.params.split_end_distance_m)
+                or along[0] < PIECE_MIN_M
+                or total - along[-1] < PIECE_MIN_M
+            ):
                 return "a piece of a bound would be too short"
         if not all(self._sound(k, cuts) for k in group.lanelet_sign):
             return "a piece of the carriageway would cross itself"
@@ -282,3 +293,8 @@ class _Planner:
             causes = [w for _, w in sorted(accepted, key=lambda a: a[0] * sign)]
             places = np.interp(mean, share, along).tolist()
             self.plan.lanelets[k] = [LaneletCut(s, w) for s, w in zip(places, causes, strict=True)]
+
+
+def _centre(cluster: list[tuple[float, Wanted]]) -> float:
+    """Between the first and the last share of a cluster in order."""
+    return (cluster[0][0] + cluster[-1][0]) * 0.5

@@ -7,13 +7,14 @@ that OSM lacks never empties one of the map.
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from flexmap_tasks.config import TransferParams
 from flexmap_tasks.conflation.fragments import Removed, fragments, without
-from flexmap_tasks.conflation.lane_check import NO_LANES, NOT_COUNTED, check_lanes, lane_counts
+from flexmap_tasks.conflation.lane_check import NO_LANES, NOT_COUNTED, LaneCounts, check_lanes, lane_counts
+from flexmap_tasks.conflation.lane_check_sides import check_sides
 from flexmap_tasks.conflation.split import Pieces, cut_map, whole
 from flexmap_tasks.conflation.split_places import CutPlan, plan_cuts
 from flexmap_tasks.conflation.split_wanted import Wanted, wanted_cuts
@@ -30,11 +31,11 @@ from flexmap_tasks.conflation.transfer_table import (
     wrong_way,
 )
 from flexmap_tasks.conflation.transfer_votes import Judged, joined, main_road, ordered, shares_of, transfers
+from flexmap_tasks.conflation.transfer_write import written
 from flexmap_tasks.engine.stage import stage
 from flexmap_tasks.model.arrays import Bools, Ints, Strings, strings
 from flexmap_tasks.model.conflation import Centerlines, Enriched, LaneCheck, Matches, Transfers
 from flexmap_tasks.model.maps import Findings, LaneletMap, PlacedRoads
-from flexmap_tasks.model.osm import rows_of
 
 
 @stage("enriched")
@@ -48,7 +49,8 @@ def transfer(
 ) -> Enriched:
     """The map with OSM's values on the lanelets, what was done and why, and the lane check.
 
-    With the map of the last release, values that a person has changed in `lanelet_map` since then stay. Ids of lanelets, ways and nodes stay; a lanelet that is cut keeps its id for the first piece.
+    With the map of the last release, values that a person has changed in `lanelet_map` since then stay. Ids of
+    lanelets, ways and nodes stay; a lanelet that is cut keeps its id for the first piece.
     """
     facts = facts_of(lanelet_map)
     removed: list[Removed] = []
@@ -58,18 +60,23 @@ def transfer(
         facts = facts_of(lanelet_map)
     rows = usable_rows(matches, facts, roads, params)
     against = wrong_way(rows, facts, roads)
-    offers, contexts = offers_of(rows, roads, params), contexts_of(facts, params, last_release)
+    offers, contexts = offers_of(rows, facts, roads, params), contexts_of(facts, params, last_release)
     sure = rows.sure & ~against
     wanted = _wanted(rows, sure, offers, contexts, facts, params) if params.split else []
     plan = plan_cuts(lanelet_map, facts, wanted, params)
     cut, pieces = cut_map(lanelet_map, facts, plan)
     judged = Judged(rows, sure, _why_not(rows, against), offers, contexts, facts, pieces, roads)
     values = doubt_speed_jumps(transfers(judged, params), cut, pieces, params)
-    check = _lane_check(rows.take(sure), facts, pieces, centerlines, roads)
+    on, counts = (
+        _carriageways(rows.take(sure), facts, pieces, roads, params),
+        lane_counts(centerlines, facts.lanelets),
+    )
+    check = _lane_check(on, pieces, counts, roads)
+    sides = check_sides(facts, pieces, on.road, on.sense, on.counted & ~on.in_junction, counts, roads)
     far = far_lane_counts(check, pieces, facts.lanelets.id[pieces.source], roads, params.lanes_far)
-    table = joined([values, far, _cuts(rows, plan, facts, pieces, roads), _removals(removed, roads)])
+    table = joined([values, far, sides, _cuts(rows, plan, facts, pieces, roads), _removals(removed, roads)])
     return Enriched(
-        map=_written(cut, pieces, values, check, params),
+        map=written(cut, pieces, values, check, params),
         transfers=ordered(table, np.unique(table.key.astype(str), return_inverse=True)[1]),
         lane_check=check,
         findings=_findings(judged, against, check, params),
@@ -96,34 +103,6 @@ def _why_not(rows: Rows, against: Bools) -> Strings:
     """(n,) why a row is not certain; "" where it is."""
     unsure = np.where(rows.sure, "", "the match is not certain")
     return strings(np.where(against, "the lanelet runs against the one-way road", unsure).tolist())
-
-
-def _written(
-    cut: LaneletMap, pieces: Pieces, values: Transfers, check: LaneCheck, params: TransferParams
-) -> LaneletMap:
-    """The map with every value whose action is "set", and what else was asked for."""
-    at = np.flatnonzero(values.action == "set")
-    ids, keys, texts = values.lanelet_id[at], values.key[at], values.new[at]
-    if params.provenance_tags:
-        ids = np.concatenate([ids, ids])
-        keys = np.concatenate([keys, strings(f"source:{key}" for key in keys)])
-        texts = np.concatenate([texts, _provenance(values, at)])
-    if params.lane_check_tags:
-        ids = np.concatenate([ids, check.lanelet_id])
-        keys = np.concatenate([keys, strings(["lane_check"] * len(check.lanelet_id))])
-        texts = np.concatenate([texts, check.verdict])
-    if not len(ids):
-        return cut
-    relations = cut.document.relations
-    rows = pieces.relation_row[rows_of(pieces.lanelet_id, ids)]
-    tags = relations.tags.with_values(rows, keys, texts)
-    return replace(cut, document=replace(cut.document, relations=replace(relations, tags=tags)))
-
-
-def _provenance(values: Transfers, at: Ints) -> Strings:
-    """Where each value comes from, such as "OpenStreetMap way 100 v3 2023-11-01T00:00:00Z"."""
-    columns = (values.way_id[at].tolist(), values.way_version[at].tolist(), values.way_timestamp[at].tolist())
-    return strings(f"OpenStreetMap way {w} v{v} {t}".rstrip() for w, v, t in zip(*columns, strict=True))
 
 
 def _cuts(rows: Rows, plan: CutPlan, facts: LaneletFacts, pieces: Pieces, roads: PlacedRoads) -> Transfers:
@@ -168,13 +147,29 @@ def _plain(
     return Transfers(ids, source, empty, empty, empty, *columns, action, reason)
 
 
-def _lane_check(
-    rows: Rows, facts: LaneletFacts, pieces: Pieces, centerlines: Centerlines, roads: PlacedRoads
-) -> LaneCheck:
+@dataclass(frozen=True, slots=True, eq=False)
+class _Carriageways:
+    """Per piece the way it follows most (row, -1 for none), the direction, and whether lanes are to be counted."""
+
+    road: Ints
+    sense: Ints
+    counted: Bools
+    in_junction: Bools
+
+
+def _carriageways(
+    rows: Rows, facts: LaneletFacts, pieces: Pieces, roads: PlacedRoads, params: TransferParams
+) -> _Carriageways:
     road, sense = main_road(shares_of(rows, pieces), rows, len(pieces), roads)
     counted = facts.open_to_cars | (facts.lanelets.subtype == "bus_lane")
-    counts = lane_counts(centerlines, facts.lanelets)
-    return check_lanes(pieces.lanelet_id, pieces.source, road, sense, counted[pieces.source], counts, roads)
+    in_junction = facts.forks & (facts.length_m <= params.junction_max_m)
+    return _Carriageways(road, sense, counted[pieces.source], in_junction[pieces.source])
+
+
+def _lane_check(on: _Carriageways, pieces: Pieces, counts: LaneCounts, roads: PlacedRoads) -> LaneCheck:
+    return check_lanes(
+        pieces.lanelet_id, pieces.source, on.road, on.sense, on.counted, on.in_junction, counts, roads
+    )
 
 
 def _fragments(
@@ -187,8 +182,9 @@ def _fragments(
 ) -> list[Removed]:
     rows = usable_rows(matches, facts, roads, params)
     sure = rows.take(rows.sure & ~wrong_way(rows, facts, roads))
-    check = _lane_check(sure, facts, whole(facts), centerlines, roads)
-    return fragments(lanelet_map, facts.lanelets, lane_counts(centerlines, facts.lanelets), check)
+    pieces, counts = whole(facts), lane_counts(centerlines, facts.lanelets)
+    check = _lane_check(_carriageways(sure, facts, pieces, roads, params), pieces, counts, roads)
+    return fragments(lanelet_map, facts, counts, check)
 
 
 def _findings(j: Judged, against: Bools, check: LaneCheck, params: TransferParams) -> Findings:

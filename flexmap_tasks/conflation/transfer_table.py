@@ -110,13 +110,14 @@ def wrong_way(rows: Rows, facts: LaneletFacts, roads: PlacedRoads) -> Bools:
     return one_way & against
 
 
-def offers_of(rows: Rows, roads: PlacedRoads, params: TransferParams) -> Offers:
+def offers_of(rows: Rows, facts: LaneletFacts, roads: PlacedRoads, params: TransferParams) -> Offers:
     """What every row's way offers; parsed once per way and direction."""
-    pairs, inverse = np.unique(np.stack([rows.road, rows.sense], axis=1), axis=0, return_inverse=True)
+    sense = np.where(facts.lanelets.one_way[rows.lanelet], rows.sense, 0)
+    pairs, inverse = np.unique(rows.road * 3 + sense + 1, return_inverse=True)
     found = []
-    for road, sense in pairs.tolist():
-        tags = roads.network.tags.of_element(road)
-        found.append([offer(rule, tags, sense, params) for rule in params.rules])
+    for pair in pairs.tolist():
+        tags = roads.network.tags.of_element(pair // 3)
+        found.append([offer(rule, tags, pair % 3 - 1, params) for rule in params.rules])
     plain = [[replace(o, also="") if o.also else o for o in line] for line in found]
     values = sorted(
         {o for line in plain for o in line} | {NOTHING}, key=lambda o: (o.value, o.weak, o.problem)
@@ -126,7 +127,7 @@ def offers_of(rows: Rows, roads: PlacedRoads, params: TransferParams) -> Offers:
     shape = (len(pairs), len(params.rules))
     code = np.array([[value_code[o] for o in line] for line in plain], dtype=np.int64).reshape(shape)
     note = np.array([[note_code[o.also] for o in line] for line in found], dtype=np.int64).reshape(shape)
-    return Offers(code[inverse.ravel()], note[inverse.ravel()], tuple(values), tuple(notes))
+    return Offers(code[inverse], note[inverse], tuple(values), tuple(notes))
 
 
 @dataclass(frozen=True, slots=True)
@@ -200,13 +201,16 @@ def decisions(
 
     The first of the list is "nothing to say".
     """
-    pairs, inverse = np.unique(np.stack([contexts.code[lanelet], code], axis=1), axis=0, return_inverse=True)
+    size = len(offers.values)
+    pairs, inverse = np.unique(contexts.code[lanelet] * size + code, return_inverse=True)
     known: dict[Decision, int] = {Decision(""): 0}
     at = [
-        known.setdefault(decide(rule, offers.values[offered], contexts.lanelets[context]), len(known))
-        for context, offered in pairs.tolist()
+        known.setdefault(
+            decide(rule, offers.values[pair % size], contexts.lanelets[pair // size]), len(known)
+        )
+        for pair in pairs.tolist()
     ]
-    return np.array(at, dtype=np.int64)[inverse.ravel()], list(known)
+    return np.array(at, dtype=np.int64)[inverse], list(known)
 
 
 def decide(rule: TransferRule, offered: Offer, lanelet: Case) -> Decision:

@@ -120,10 +120,14 @@ def _of_rule(
     which, cases = decisions(j.pieces.source[won.piece], won.choice, j.offers, j.contexts, params.rules[i])
     action, value, reason = _columns(which, cases)
     length = (j.pieces.s_to_m - j.pieces.s_from_m)[won.piece]
-    thin = (action == "set") & (won.length_m < params.coverage_min * length)
+    sure_m = np.bincount(clear.piece, clear.length_m, len(j.pieces))[won.piece]
+    known = sure_m + _agreeing_m(shares, ~j.rows.sure[shares.row], j.offers.code[:, i], won, len(j.pieces))
+    thin = (action == "set") & (known < params.coverage_min * length)
     action[thin] = "review"
-    share = np.rint(100 * won.length_m / np.maximum(length, 1e-9)).astype(np.int64)
-    reason[thin] = strings(f"holds for {s} % of the lanelet only" for s in share[thin].tolist())
+    matched, share = (
+        np.rint(100 * x / np.maximum(length, 1e-9)).astype(np.int64) for x in (known, won.length_m)
+    )
+    reason[thin] = strings(f"only {s} % of the lanelet are matched" for s in matched[thin].tolist())
     plain = (action == "set") & (reason == "")
     key = params.rules[i].key
     reason[plain] = strings(
@@ -135,6 +139,15 @@ def _of_rule(
     settled[won.piece[done]] = value[done]
     first = _rows_of(j, _take(won, said), i, params, value[said], action[said], reason[said])
     return first, _uncertain(j, shares, i, params, settled), _notes(j, clear, i, params)
+
+
+def _agreeing_m(shares: Shares, unsure: Bools, code: Ints, won: Votes, pieces: int) -> Floats:
+    """(w,) metres of uncertain matches that say what won: they decide nothing, but they do not contradict."""
+    winner = np.full(pieces, -1, dtype=np.int64)
+    winner[won.piece] = won.choice
+    at = np.flatnonzero(unsure & (code[shares.row] == winner[shares.piece]))
+    metres: Floats = np.bincount(shares.piece[at], shares.length_m[at], pieces)[won.piece].astype(np.float64)
+    return metres
 
 
 def _uncertain(j: Judged, shares: Shares, i: int, params: TransferParams, settled: Strings) -> Transfers:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import socket
 import time
@@ -11,15 +12,19 @@ from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 from typing import Any
 
+from flexmap_tasks.engine.fingerprint import learn_code
 from flexmap_tasks.engine.graph import Input, Node, SourceRef
 from flexmap_tasks.engine.keys import action_key, input_types, preimage
 from flexmap_tasks.engine.sources import Stamp, file_stamp, source_artifact
-from flexmap_tasks.errors import InputError
+from flexmap_tasks.errors import InputError, StoreError
 from flexmap_tasks.formats.artifacts import decode, encode
 from flexmap_tasks.model.arrays import strings
 from flexmap_tasks.model.source import Source
 from flexmap_tasks.store.artifact import Artifact, Blob, canonical_json, digest_of
 from flexmap_tasks.store.store import ActionRecord, ArtifactFiles, Store
+
+CODE_MEMO = "memo/code.json"
+"""What parsing the package found, so that the next process need not."""
 
 Progress = Callable[[int, int], None]
 """(items done, items in all) of a stage that runs per item."""
@@ -59,6 +64,10 @@ class Engine:
     def __init__(self, store: Store) -> None:
         self.store = store
         self._values: dict[tuple[str, str, str], Any] = {}
+        memo = learn_code(store.backend.get(CODE_MEMO))
+        if memo is not None:
+            with contextlib.suppress(StoreError):  # a plan may be asked of a store that is read-only
+                store.backend.put(CODE_MEMO, memo, replace=True)
 
     def bind(self, ref: Input, artifacts: Mapping[str, Artifact]) -> Bound:
         """An input as content; `artifacts` holds what the nodes before have made."""
@@ -92,6 +101,7 @@ class Engine:
         image = self.image(node, bound)
         record = self.find(node, image)
         if record is not None:
+            self.store.renew(record)
             return Outcome(node.name, record.key, record.output, cached=True, seconds=record.seconds)
         if node.each:
             return self._run_each(node, bound, image, progress or (lambda _done, _all: None))
@@ -158,6 +168,7 @@ class Engine:
             seconds,
             started.isoformat(),
             socket.gethostname(),
+            {item: record.key for item, (record, _) in zip(items, done, strict=True)},
         )
         whole = self._remember(node, whole)
         ran = sum(1 for _, fresh in done if fresh)
@@ -176,6 +187,7 @@ class Engine:
         image = preimage(node.stage, node.params, {**digests, each: _rename(item, key, each).digest})
         found = self.store.find(action_key(image))
         if found is not None:
+            self.store.renew(found)
             return found, False
         kind = input_types(node.stage)[each]
         narrowed[each] = decode(kind, ArtifactFiles(self.store, item), key)

@@ -23,6 +23,9 @@ class SourceRef:
         """The name for messages."""
         return self.path.name
 
+    def __str__(self) -> str:
+        return "file"
+
 
 @dataclass(frozen=True, slots=True)
 class Ref:
@@ -60,6 +63,10 @@ class Ref:
     def name(self) -> str:
         """Base name of the files this reference stands for."""
         return self.part or self.base
+
+    def __str__(self) -> str:
+        how = " by the inner key" if self.transposed else ", its keys" if self.keys_only else ""
+        return f"{self.node}{f'.{self.part}' if self.part else ''}{how}"
 
 
 Input = Ref | SourceRef
@@ -106,7 +113,7 @@ class Graph:
         return self._add(stage, params, inputs, each, narrow)
 
     def publish(self, path: str, ref: Ref) -> None:
-        """Put an artifact into the release: a file at `path`, its files below a `path/`, or "." by their own names."""
+        """Put an artifact into the release: a file at `path`, files below a `path/`, or "." by their own names."""
         self.release.append((path, ref))
 
     def _add(

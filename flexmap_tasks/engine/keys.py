@@ -5,17 +5,14 @@ from __future__ import annotations
 import functools
 import typing
 from collections.abc import Mapping
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
 from flexmap_tasks.config import Params
 from flexmap_tasks.engine.fingerprint import code_modules
+from flexmap_tasks.engine.libraries import library_versions
 from flexmap_tasks.engine.stage import AnyStage
 from flexmap_tasks.store.artifact import canonical_json, digest_of
-
-LIBRARIES = ("numpy", "scipy", "pyproj", "shapely", "numba", "pyarrow", "lxml", "osmium", "mcap", "PyYAML")
-"""Libraries that can change the numbers or the bytes of a result."""
 
 CODECS = ("flexmap_tasks.formats.artifacts", "flexmap_tasks.formats.columns")
 
@@ -56,12 +53,6 @@ def _without_empty(value: Any) -> Any:
     if isinstance(value, dict):
         return {k: _without_empty(v) for k, v in value.items() if v is not None}
     return [_without_empty(v) for v in value] if isinstance(value, list) else value
-
-
-@functools.cache
-def library_versions() -> dict[str, str]:
-    """Installed versions of the libraries that matter."""
-    return {name: version(name) for name in LIBRARIES}
 
 
 @functools.cache

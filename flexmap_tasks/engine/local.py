@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import TypeVar
 
 from flexmap_tasks.engine.execute import Engine, Outcome
 from flexmap_tasks.engine.graph import Graph, Node
@@ -12,6 +13,7 @@ from flexmap_tasks.store.store import CorruptBlobError, Store
 REPAIRS = 20
 """How often a run starts over because a damaged blob was met; each time that blob is made anew."""
 
+T = TypeVar("T")
 OnStart = Callable[[Node], None]
 OnDone = Callable[[Outcome], None]
 OnItem = Callable[[Node, int, int], None]
@@ -25,9 +27,14 @@ def run_local(
     on_item: OnItem = lambda _node, _done, _all: None,
 ) -> dict[str, Outcome]:
     """Run the graph; outcomes by stage name, in order."""
+    return heal(lambda: _run_once(Engine(store), graph, on_start, on_done, on_item))
+
+
+def heal(work: Callable[[], T]) -> T:
+    """The result of the work, begun again when it met a damaged blob: that blob is gone by then and is made anew."""
     for attempt in range(REPAIRS + 1):
         try:
-            return _run_once(Engine(store), graph, on_start, on_done, on_item)
+            return work()
         except CorruptBlobError:
             if attempt == REPAIRS:
                 raise

@@ -9,7 +9,7 @@ from typing import Any, Literal
 from flexmap_tasks.engine.execute import Engine
 from flexmap_tasks.engine.graph import Graph, Node, SourceRef
 from flexmap_tasks.engine.keys import action_key
-from flexmap_tasks.store.artifact import Artifact, seal, unseal
+from flexmap_tasks.store.artifact import Artifact
 from flexmap_tasks.store.store import ActionRecord, Store, parse_record, record_path
 
 State = Literal["cached", "run", "depends"]
@@ -113,20 +113,3 @@ def _flat(value: Any, prefix: str = "") -> dict[str, Any]:
     for key, item in value.items():
         out |= _flat(item, f"{prefix}.{key}" if prefix else str(key))
     return out
-
-
-def read_last_run(store: Store, map_name: str) -> dict[str, str]:
-    """Action key per stage of the map's last finished run; empty when there is none."""
-    body = unseal(store.backend.get(_last_run_path(map_name)))
-    return dict(body["actions"]) if body else {}
-
-
-def write_last_run(store: Store, map_name: str, actions: Mapping[str, str]) -> None:
-    """Remember a finished run."""
-    content = seal({"actions": dict(actions)})
-    if store.backend.get(_last_run_path(map_name)) != content:
-        store.backend.put(_last_run_path(map_name), content, replace=True)
-
-
-def _last_run_path(map_name: str) -> str:
-    return f"runs/{map_name}.json"

@@ -1,4 +1,4 @@
-"""Files from outside: digested once, remembered by path, size, time and inode."""
+"""Files from outside: digested once, remembered by path, size, times and inode."""
 
 from __future__ import annotations
 
@@ -13,11 +13,12 @@ from flexmap_tasks.store.store import Store
 RACY_NS = 2_000_000_000
 """A file younger than this may still change within the resolution of its time stamp: it is not remembered."""
 
-Stamp = tuple[int, int, int]
+Stamp = tuple[int, int, int, int]
+"""Size, time of the last write, time of the last change of the entry (nobody can set it back), inode."""
 
 
 def file_stamp(path: Path) -> Stamp:
-    """Size, modification time and inode; InputError when there is no such file."""
+    """What a file looks like from outside; InputError when there is no such file."""
     try:
         stat = path.stat()
     except OSError as error:
@@ -26,7 +27,7 @@ def file_stamp(path: Path) -> Stamp:
         ) from error
     if not path.is_file():
         raise InputError(str(path), "is not a file; the config needs the path of a file here")
-    return stat.st_size, stat.st_mtime_ns, stat.st_ino
+    return stat.st_size, stat.st_mtime_ns, stat.st_ctime_ns, stat.st_ino
 
 
 def source_artifact(store: Store, path: Path) -> Artifact:
@@ -38,7 +39,7 @@ def source_artifact(store: Store, path: Path) -> Artifact:
         sha256 = _digest_file(path)
         if file_stamp(path) != stamp:
             raise InputError(path.name, "changed while it was read; run again when it is complete")
-        if time.time_ns() - stamp[1] > RACY_NS:
+        if time.time_ns() - max(stamp[1], stamp[2]) > RACY_NS:
             store.backend.put(memo, seal({"stamp": list(stamp), "sha256": sha256}), replace=True)
     return Artifact.of({"source": Blob(sha256, stamp[0])})
 

@@ -33,7 +33,7 @@ def reliability(judged: Judged) -> Reliability:
     place = np.minimum((confidence * BINS).astype(np.int64), BINS - 1)
 
     def total(values: Floats) -> Floats:
-        return np.bincount(place, weights=weight * values, minlength=BINS)
+        return np.bincount(place, weights=weight * values, minlength=BINS).astype(np.float64)
 
     metres, right = total(np.ones(len(weight))), total(judged.right[rows].astype(np.float64))
     filled = np.where(metres > 0, metres, np.nan)

@@ -56,7 +56,8 @@ class Judged:
     @property
     def matched(self) -> Bools:
         """(n,) the prediction names a way and is sure of it."""
-        return self.named & (self.said == "match")
+        sure: Bools = self.named & (self.said == "match")
+        return sure
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,13 +65,15 @@ class Score:
     """Precision, recall and F1 of sure matches; None where there is nothing to share.
 
     length_m : all that was judged; wrong_m : another way than the true one; phantom_m : a way where there is none
-    missed_m : a way exists and none was named, review included; turned_m : the right way in the wrong direction
+    missed_m : a way exists and none was named for sure; turned_m : the right way in the wrong direction
+    recall_with_review : recall once a person has confirmed every right way that is up for review
     """
 
     length_m: float
     precision: float | None
     recall: float | None
     f1: float | None
+    recall_with_review: float | None
     wrong_m: float
     phantom_m: float
     missed_m: float
@@ -129,14 +132,24 @@ def score(judged: Judged, rows: Bools | None = None) -> Score:
     hit = judged.matched & judged.right
     phantom, wrong = judged.matched & ~judged.has_way, judged.matched & judged.has_way & ~judged.right
     missed = judged.has_way & ~judged.matched
-    true_m, named_m, way_m = (float(metres[r].sum()) for r in (hit, judged.matched, judged.has_way))
-    by_lanelet = _by_lanelet(judged, metres)
+    confirmed, there = float(metres[judged.right].sum()), float(metres[judged.has_way].sum())
+    precision, recall, f1 = _figures(*(float(metres[r].sum()) for r in (hit, judged.matched, judged.has_way)))
+    *counts, lanelets = _by_lanelet(judged, metres)
+    lanelet_precision, lanelet_recall, lanelet_f1 = _figures(*counts)
     return Score(
-        float(metres.sum()),
-        *_figures(true_m, named_m, way_m),
-        *(float(metres[r].sum()) for r in (wrong, phantom, missed, judged.turned & judged.matched)),
-        by_lanelet[3],
-        *_figures(*by_lanelet[:3]),
+        length_m=float(metres.sum()),
+        precision=precision,
+        recall=recall,
+        f1=f1,
+        recall_with_review=confirmed / there if there else None,
+        wrong_m=float(metres[wrong].sum()),
+        phantom_m=float(metres[phantom].sum()),
+        missed_m=float(metres[missed].sum()),
+        turned_m=float(metres[judged.turned & judged.matched].sum()),
+        lanelets=lanelets,
+        lanelet_precision=lanelet_precision,
+        lanelet_recall=lanelet_recall,
+        lanelet_f1=lanelet_f1,
     )
 
 
@@ -170,7 +183,7 @@ def _by_lanelet(judged: Judged, metres: Floats) -> tuple[int, int, int, int]:
     n = int(judged.lanelet.max(initial=-1)) + 1
 
     def total(rows: Bools) -> Floats:
-        return np.bincount(judged.lanelet[rows], weights=metres[rows], minlength=n)
+        return np.bincount(judged.lanelet[rows], weights=metres[rows], minlength=n).astype(np.float64)
 
     whole = total(np.ones(len(metres), dtype=bool))
     counts = [

@@ -125,6 +125,8 @@ def _resolve_paths(kind: type[BaseModel], data: dict[str, Any], base: Path) -> d
             out[name] = str((base / Path(value).expanduser()).resolve())
         elif model is not None and isinstance(value, dict):
             out[name] = _resolve_paths(model, value, base)
+        elif model is not None and isinstance(value, list):
+            out[name] = [_resolve_paths(model, v, base) if isinstance(v, dict) else v for v in value]
     return out
 
 

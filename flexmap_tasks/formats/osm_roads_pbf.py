@@ -20,7 +20,7 @@ from flexmap_tasks.formats.osm_roads_elements import (
 from flexmap_tasks.model.source import Source
 
 REFERENCES_PER_BYTE = 8
-"""Real files hold less than one reference to a node per byte; compressed zeros hold hundreds."""
+"""Real files hold less than one way or reference to a node per byte; compressed zeros hold hundreds."""
 
 
 def read_pbf_roads(source: Source, highways: frozenset[str]) -> RoadElements:
@@ -28,15 +28,19 @@ def read_pbf_roads(source: Source, highways: frozenset[str]) -> RoadElements:
     try:
         newest = _ways(source, highways)
         wanted = {ref for way in newest.ways.values() for ref in way.refs}
-        nodes = [_position(node) for node in _elements(source, osmium.osm.NODE) if node.id in wanted]
+        newest_position: dict[int, tuple[int, float, float]] = {}
+        for node in _elements(source, osmium.osm.NODE):
+            if node.id in wanted:
+                state = _state(node)
+                newest_position[node.id] = max(newest_position.get(node.id, state), state)
     except InputError:
         raise
     except (RuntimeError, ValueError) as error:
         rule = f"the OpenStreetMap PBF is damaged or cut off ({str(error)[:200]}); fetch it again"
         raise InputError(source.name, rule) from None
-    ids, versions = (np.array([row[i] for row in nodes], dtype=np.int64) for i in (0, 1))
-    lonlat = np.array([row[2:] for row in nodes], dtype=np.float64).reshape(-1, 2)
-    return RoadElements(newest.ways, *newest_nodes(ids, versions, lonlat), "")
+    ids = np.array(list(newest_position), dtype=np.int64)
+    lonlat = np.array([state[1:] for state in newest_position.values()], dtype=np.float64).reshape(-1, 2)
+    return RoadElements(newest.ways, *newest_nodes(ids, np.zeros_like(ids), lonlat), "")
 
 
 def _ways(source: Source, highways: frozenset[str]) -> NewestWays:
@@ -44,13 +48,14 @@ def _ways(source: Source, highways: frozenset[str]) -> NewestWays:
     budget = 1_000_000 + REFERENCES_PER_BYTE * source.path.stat().st_size
     for way in _elements(source, osmium.osm.WAY):
         version = max(way.version, 0)
-        newest.add(way.id, RoadWay(version, "", False))
-        if not way.visible or way.tags.get("highway") not in highways:
-            continue
-        budget -= len(way.nodes)
+        road = way.visible and way.tags.get("highway") in highways
+        budget -= 1 + (len(way.nodes) if road else 0)
         if budget < 0:
-            rule = "the file claims far more nodes than its size can hold; it is no OpenStreetMap extract"
+            rule = "the file claims far more ways and nodes than its size can hold; it is no OpenStreetMap extract"
             raise InputError(source.name, rule, f"way {way.id}")
+        newest.add(way.id, RoadWay(version, "", False))
+        if not road:
+            continue
         tags = {tag.k: tag.v for tag in way.tags}
         if newest.is_road(tags):
             refs = tuple(node.ref for node in way.nodes)
@@ -63,11 +68,11 @@ def _elements(source: Source, kind: Any) -> Iterator[Any]:
     return iter(osmium.FileProcessor(osmium.io.File(str(source.path), "pbf"), kind))
 
 
-def _position(node: Any) -> tuple[int, int, float, float]:
-    """Id, version, longitude and latitude; NaN where the node is deleted or nowhere."""
+def _state(node: Any) -> tuple[int, float, float]:
+    """Version, longitude and latitude, of which the greatest counts; infinite where deleted or nowhere."""
     if node.visible and node.location.valid():
-        return node.id, max(node.version, 0), node.lon, node.lat
-    return node.id, max(node.version, 0), math.nan, math.nan
+        return max(node.version, 0), node.lon, node.lat
+    return max(node.version, 0), math.inf, math.inf
 
 
 def _stamp(way: Any) -> str:

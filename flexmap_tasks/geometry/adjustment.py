@@ -55,7 +55,7 @@ class Solution(NamedTuple, Generic[S]):
 
     state : the unknowns; scale : (g,) noise scale of every group; weight : robust weights of every group
     groups : the observations before the last step; step : that last step
-    inverse : covariance of the unknowns, on the pattern of the factor; lu : the factor itself
+    lu : the factor of the normal equations
     """
 
     state: S
@@ -63,17 +63,17 @@ class Solution(NamedTuple, Generic[S]):
     weight: list[Floats]
     groups: list[Group]
     step: Floats
-    inverse: sparse.csc_matrix
     lu: SuperLU
 
 
 def adjust(
-    state: S, groups: Callable[[S], list[Group]], scale: Floats, floor: Floats, rounds: int
+    state: S, groups: Callable[[S], list[Group]], scale: Floats, floor: Floats, rounds: int, shared: int
 ) -> Solution[S]:
     """Gauss-Newton with the noise scales estimated `rounds` times on the way; a last step ends it.
 
     groups : the observations, linearised at a state; scale : (g,) where the noise scales start
     floor : (g,) the smallest value of every noise scale
+    shared : how many unknowns at the end take part in very many observations
     Raises RuntimeError when the observations do not determine the unknowns.
     """
     for left in range(2 * rounds, -1, -1):
@@ -86,11 +86,10 @@ def adjust(
         if not np.isfinite(step).all():
             raise RuntimeError("the observations do not determine the unknowns")
         state = state.moved(step)
-        if left % 2 == 0:  # scales change slowly: every second step is enough
-            inverse = inverse_on_pattern(lu)
-            if left:
-                scale = _estimated(observed, scale, weight, step, inverse, floor)
-    return Solution(state, scale, weight, observed, step, inverse, lu)
+        if left and left % 2 == 0:  # scales change slowly: every second step is enough
+            inverse = _on_pattern_of(normal, inverse_on_pattern(lu))
+            scale = _estimated(observed, scale, weight, step, inverse, shared, floor)
+    return Solution(state, scale, weight, observed, step, lu)
 
 
 def _weights(group: Group, scale: float) -> Floats:
@@ -111,12 +110,32 @@ def _normal(groups: list[Group], scale: Floats, weight: list[Floats]) -> tuple[s
     return (jacobian.T @ weighted).tocsc(), weighted.T @ residual
 
 
+def _on_pattern_of(normal: sparse.csc_matrix, inverse: sparse.csc_matrix) -> sparse.csr_matrix:
+    """The inverse where the normal equations are not zero: the factor has many more entries."""
+    pattern = normal.copy()
+    pattern.data = np.ones_like(pattern.data)
+    return inverse.multiply(pattern).tocsr()
+
+
+def _variances(jacobian: sparse.csr_matrix, inverse: sparse.csr_matrix, shared: int) -> Floats:
+    """Variance of every row's prediction, J Z J^T on the diagonal; shared unknowns apart, for they are dense."""
+    cut = jacobian.shape[1] - shared
+    own, common = jacobian[:, :cut], jacobian[:, cut:].toarray()
+    mixed = inverse[:cut, cut:].toarray()
+    alone = (own @ inverse[:cut, :cut]).multiply(own).sum(axis=1)
+    together = 2.0 * ((own @ mixed) * common).sum(axis=1)
+    return (
+        np.asarray(alone).ravel() + together + ((common @ inverse[cut:, cut:].toarray()) * common).sum(axis=1)
+    )
+
+
 def _estimated(
     groups: list[Group],
     scale: Floats,
     weight: list[Floats],
     step: Floats,
-    inverse: sparse.csc_matrix,
+    inverse: sparse.csr_matrix,
+    shared: int,
     floor: Floats,
 ) -> Floats:
     new = scale.copy()
@@ -125,8 +144,7 @@ def _estimated(
             continue
         p = w / group.unit**2
         after = group.residual + group.jacobian @ step
-        used = (group.jacobian @ inverse).multiply(group.jacobian).sum(axis=1)
-        redundancy = w.sum() - float(p @ np.asarray(used).ravel()) / scale[k] ** 2
+        redundancy = w.sum() - float(p @ _variances(group.jacobian, inverse, shared)) / scale[k] ** 2
         if redundancy > 1.0:
             new[k] = max(np.sqrt(float(p @ after**2) / redundancy), floor[k])
     return new

@@ -36,7 +36,8 @@ def beliefs(
         to_first, np.ones(to_first[-1]), sweeps,
     )  # fmt: skip
     total = np.add.reduceat(belief, state_offset[:-1]) if len(belief) else belief
-    return belief / np.repeat(total, size)
+    probability: Floats = belief / np.repeat(total, size)
+    return probability
 
 
 @njit(cache=True)

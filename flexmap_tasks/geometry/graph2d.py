@@ -88,9 +88,14 @@ def relative_rows(state: State, pairs: Relative) -> Rows:
     return _rows(residual, blocks, n + GLOBALS)
 
 
-def fix_rows(state: State, fixes: Fix) -> Rows:
-    """Two rows per fix: predicted antenna minus fix, along `across` and at right angles to it."""
+def fix_rows(state: State, fixes: Fix, *, antenna: bool = True) -> Rows:
+    """Two rows per fix: prediction minus fix, along `across` and at right angles to it.
+
+    antenna : the fix is of the antenna, through lever arm and clock; else of the body's own place `body`
+    """
     k, (forward, left, log_scale, offset) = fixes.node, state.shared.tolist()
+    if not antenna:
+        forward, left, offset = 0.0, 0.0, 0.0
     yaw, scale = state.pose[k, 2], np.exp(log_scale)
     lever = rotated(np.tile([forward, left], (len(k), 1)), fixes.turn)
     arm = scale * (fixes.body + offset * fixes.velocity) + lever
@@ -112,6 +117,8 @@ def fix_rows(state: State, fixes: Fix) -> Rows:
         (np.full(len(k), n + 2), body + offset * velocity),
         (np.full(len(k), n + 3), velocity),
     ]
+    if not antenna:
+        columns = [c for c in columns if c[0].size == 0 or c[0][0] not in (n, n + 1, n + 3)]
     blocks = []
     for column, derivative in columns:
         turned = rotated(derivative, to_axes)

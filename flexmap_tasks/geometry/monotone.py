@@ -17,50 +17,65 @@ STEP_M, STEP_SHARE = 0.5, 0.05
 """How far the advance along both tracks may differ before it costs: metres, and share of the step."""
 
 
-def associate(points: Floats, heading: Floats, line: Floats, line_heading: Floats, seen: Bools) -> Ints:
+def associate(
+    points: Floats,
+    heading: Floats,
+    line: Floats,
+    line_heading: Floats,
+    seen: Bools,
+    first: Ints | None = None,
+    width: int | None = None,
+) -> Ints:
     """(n,) for every point the sample of the line it belongs to, never going back.
 
     points : (n, 2) metres, nearly in the line's frame; heading : (n,) radians, direction of travel
     line : (m, 2) samples spaced evenly along the way; line_heading : (m,); seen : (m,) False on chords over gaps
+    first, width : for every point, the first of `width` samples it may belong to, never going back; all when None
     Costs are logarithmic in the squared misfit (Cauchy), so that no outlier decides the path.
     """
     step = np.concatenate([[0.0], np.hypot(*np.diff(points, axis=0).T)])
     spacing = float(np.median(np.hypot(*np.diff(line, axis=0).T)))
     reach = int(np.ceil(3.0 * float(np.quantile(step, 0.99)) / spacing)) + 4
-    return _associate(points, heading, step, line, line_heading, seen, spacing, reach)
+    if first is None or width is None:
+        first, width = np.zeros(len(points), np.int64), len(line)
+    return _associate(points, heading, step, line, line_heading, seen, spacing, reach, first, width)
 
 
 @njit(cache=True, nogil=True)
-def _associate(points, heading, step, line, line_heading, seen, spacing, reach):  # type: ignore[no-untyped-def]  # pragma: no cover
+def _associate(points, heading, step, line, line_heading, seen, spacing, reach, first, width):  # type: ignore[no-untyped-def]  # pragma: no cover
     n, m = len(points), len(line)
-    back = np.zeros((n, m), np.int16)
-    cost = np.zeros(m)
-    new = np.empty(m)
+    back = np.zeros((n, width), np.int16)
+    cost = np.full(width, np.inf)
+    new = np.empty(width)
     advance = np.empty(reach + 1)
     for i in range(n):
         for a in range(reach + 1):
             off = (a * spacing - step[i]) / (STEP_M + STEP_SHARE * step[i])
             advance[a] = np.log1p(off * off)
-        for j in range(m):
+        shift = first[i] - first[i - 1] if i > 0 else 0
+        for k in range(width):
+            j = first[i] + k
             best, which = np.inf, 0
             if i == 0:
                 best = 0.0
             else:
-                for a in range(min(reach, j) + 1):
-                    c = cost[j - a] + advance[a]
+                for a in range(max(0, k + shift - width + 1), min(reach, k + shift) + 1):
+                    c = cost[k + shift - a] + advance[a]
                     if c < best:
                         best, which = c, a
             here = UNSEEN_COST
-            if seen[j]:
+            if j >= m:
+                here = np.inf
+            elif seen[j]:
                 dx, dy = points[i, 0] - line[j, 0], points[i, 1] - line[j, 1]
                 turn = np.sin((heading[i] - line_heading[j]) / 2) * 2 / HEADING_RAD
                 here = np.log1p((dx * dx + dy * dy) / (POSITION_M * POSITION_M)) + np.log1p(turn * turn)
-            new[j] = best + here
-            back[i, j] = which
-        for j in range(m):
-            cost[j] = new[j]
+            new[k] = best + here
+            back[i, k] = which
+        for k in range(width):
+            cost[k] = new[k]
     out = np.empty(n, np.int64)
-    out[n - 1] = np.argmin(cost)
+    out[n - 1] = first[n - 1] + np.argmin(cost)
     for i in range(n - 1, 0, -1):
-        out[i - 1] = out[i] - back[i, out[i]]
+        out[i - 1] = out[i] - back[i, out[i] - first[i]]
     return out

@@ -53,7 +53,25 @@ def pair_weights(
 
 
 @njit(cache=True)
-def _fill(state, link, direction, s, edges, metres, scale, tail, head, length, near_at, near_node, near_m, most, gap, at, out):  # type: ignore[no-untyped-def]  # pragma: no cover  # fmt: skip
+def _fill(  # type: ignore[no-untyped-def]  # pragma: no cover
+    state,
+    link,
+    direction,
+    s,
+    edges,
+    metres,
+    scale,
+    tail,
+    head,
+    length,
+    near_at,
+    near_node,
+    near_m,
+    most,
+    gap,
+    at,
+    out,
+):
     for e in range(len(edges)):
         k = at[e]
         for i in range(state[edges[e, 0]], state[edges[e, 0] + 1]):

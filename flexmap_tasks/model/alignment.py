@@ -9,7 +9,9 @@ from typing import ClassVar
 import numpy as np
 
 from flexmap_tasks.geometry import sheet as kernels
+from flexmap_tasks.geometry.blend import SPACING_M
 from flexmap_tasks.model.arrays import Bools, Floats, Ints, Strings, require
+from flexmap_tasks.model.bend import Bend
 
 
 @dataclass(frozen=True, slots=True)
@@ -145,23 +147,51 @@ class RubberSheet:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Warp:
-    """One thing that moves track, map and cloud alike: rigid motion, then the sheet if there is one."""
+    """One thing that moves track, map and cloud alike.
+
+    A rigid motion alone; or the motion, then a rubber sheet; or a bend made of poses, which already holds the
+    motion. `unbend` is a bend walked backwards; `motion` then leads back as well.
+    """
 
     motion: RigidMotion
     sheet: RubberSheet | None
+    bend: Bend | None = None
+    unbend: Bend | None = None
 
     def apply(self, xyz_m: Floats) -> Floats:
         """(n, 3) places in the fixed frame of (n, 3) places in the moving one; z is kept, NaN stays NaN."""
+        if self.bend is not None:
+            return self.bend.apply(xyz_m)[:, :3]
+        if self.unbend is not None:
+            return self.unbend.undo(xyz_m, self.motion.apply_xy(xyz_m), self.motion.linear)
         return kernels.move(_mesh(self, len(xyz_m)), xyz_m)
 
     def jacobian(self, xyz_m: Floats) -> Floats:
         """(n, 2, 2) how the plane is turned and stretched at (n, 3) places of the moving frame."""
+        if self.bend is not None or self.unbend is not None:
+            return self._numeric_jacobian(xyz_m)
         mesh = _mesh(self, len(xyz_m))
         return mesh.affine[kernels.locate(mesh, xyz_m), :, :2]
+
+    def sigma_m(self, xyz_m: Floats) -> Floats:
+        """(n,) predicted horizontal standard deviation at places of the moving frame; NaN where none is known."""
+        return np.full(len(xyz_m), np.nan) if self.bend is None else self.bend.apply(xyz_m)[:, 3]
+
+    def _numeric_jacobian(self, xyz_m: Floats) -> Floats:
+        step = SPACING_M / 2
+        columns = []
+        for axis in (0, 1):
+            ahead, behind = xyz_m.copy(), xyz_m.copy()
+            ahead[:, axis] += step
+            behind[:, axis] -= step
+            columns.append((self.apply(ahead) - self.apply(behind))[:, :2] / (2 * step))
+        return np.stack(columns, axis=2)
 
     def inverse(self) -> Warp:
         """The warp from the fixed frame back to the moving one, exact."""
         back = self.motion.inverse()
+        if self.bend is not None or self.unbend is not None:
+            return Warp(back, None, bend=self.unbend, unbend=self.bend)
         if self.sheet is None:
             return Warp(back, None)
         return Warp(
@@ -183,8 +213,11 @@ class Warp:
         motion = RigidMotion(
             self.motion.rotation, self.motion.translation_m, self.motion.grid_scale, 1.0, 0.0
         )
+        if self.bend is not None:
+            still = RigidMotion(np.eye(2), np.zeros(2), 1.0, 1.0, 0.0)  # the bend holds all of the motion
+            return Warp(still, None, bend=self.bend.restrict(extent.corners()[[0, 2]]))
         if self.sheet is None:
-            return Warp(motion, None)
+            return Warp(motion, None, unbend=self.unbend)
         sheet, moving = self.sheet, motion.inverse().apply_xy(self.sheet.source_xy_m)
         corners = extent.corners()
         keep = kernels.touching(moving[sheet.triangles], corners[0], corners[2])

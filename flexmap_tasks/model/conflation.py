@@ -112,14 +112,62 @@ class Matched:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class Gaps:
+    """Where one of the two maps has something that the other has not, one row per stretch.
+
+    kind : (n,) str, "not_in_hd_map" (a road without lanelets) or "not_in_osm" (lanes without a road)
+    id : (n,) int64, way or lanelet; s_from_m, s_to_m : (n,) float64 along the way or the lanelet's centreline
+    whole : (n,) bool, nothing of the way inside the corridor, or of the lanelet, has a counterpart
+    confidence : (n,) float64 in 0..1, NaN where there is no estimate; reason : (n,) str
+    """
+
+    kind: Strings
+    id: Ints
+    s_from_m: Floats
+    s_to_m: Floats
+    whole: Bools
+    confidence: Floats
+    reason: Strings
+
+    def __len__(self) -> int:
+        return len(self.id)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RoadChanges:
+    """What became of matched roads between two dates of OpenStreetMap, one row per change.
+
+    way_id : (n,) int64; kind : (n,) str, "tag", "geometry", "gone" or "new"
+    key, old, new : (n,) str, of a tag, "" otherwise
+    moved_m : (n,) float64, greatest distance between the old and the new course, NaN where it is no "geometry"
+    version_old, version_new : (n,) int64, 0 where the way did not exist; timestamp_new : (n,) str
+    """
+
+    way_id: Ints
+    kind: Strings
+    key: Strings
+    old: Strings
+    new: Strings
+    moved_m: Floats
+    version_old: Ints
+    version_new: Ints
+    timestamp_new: Strings
+
+    def __len__(self) -> int:
+        return len(self.way_id)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Transfers:
     """One row per value that OSM offers a lanelet, and what became of it.
 
     lanelet_id : (n,) int64, in the new map; source_lanelet_id : (n,) int64, the lanelet it was cut from (or itself)
-    key, old, new : (n,) str, "" where there is no value
+    key, old, new : (n,) str, "" where there is no value. The key is the attribute, or "lanes", "bus_lane",
+    "bicycle_lane", "road_shoulder" where numbers of lanes are compared; "" where the lanelet itself is meant
     way_id, way_version : (n,) int64; way_timestamp : (n,) str
     confidence : (n,) float64
-    action : (n,) str, "set", "keep", "review", "split" or "remove"; reason : (n,) str
+    action : (n,) str, "set" (written), "keep" (the map's value stands), "review" (for a person, nothing is written),
+    "split" (the lanelet was cut off its source) or "remove" (a fragment taken out); reason : (n,) str
     """
 
     lanelet_id: Ints
@@ -141,7 +189,7 @@ class LaneCheck:
 
     lanelet_id, way_id : (n,) int64 (way 0 where unmatched)
     lanes_map, lanes_osm : (n,) int64, -1 where unknown
-    verdict : (n,) str, "agree", "differ", "unknown" (OSM has no usable tag) or "unmatched"
+    verdict : (n,) str, "agree", "differ", "unknown" (no usable tag in OSM, or in a junction), "unmatched"
     reason : (n,) str
     """
 

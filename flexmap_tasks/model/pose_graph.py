@@ -90,3 +90,21 @@ class PoseGraph:
     nodes: GraphNodes
     figures: GraphFigures
     gnss_use: GnssUse
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class HeldOut:
+    """Distances from GNSS that was withheld, one row per node that could be asked.
+
+    row : (n,) int64, row of the SLAM trajectory; along_m : (n,) float64, place on the GNSS line
+    distance_m : (n,) float64, antenna to the withheld line on the same pass
+    sigma_m : (n,) float64, what the solution itself predicted (of the body, per axis)
+    """
+
+    row: Ints
+    along_m: Floats
+    distance_m: Floats
+    sigma_m: Floats
+
+    def __len__(self) -> int:
+        return len(self.row)

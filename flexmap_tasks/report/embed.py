@@ -56,7 +56,7 @@ class Texts:
         """A column of text; None and "" are the same."""
         place = self.rows
         rows = [place.setdefault(str(v or "")[:LONGEST_TEXT], len(place)) for v in values.tolist()]
-        return {"t": "text", **numbers(np.array(rows, dtype=np.int64), "i4"), "text": True}
+        return {**numbers(np.array(rows, dtype=np.int64), "i4"), "text": True}
 
     def tags(self, tags: Tags) -> Json:
         """Tags of n elements."""

@@ -80,8 +80,9 @@ def _route(world: World, lanes: LaneNetwork) -> list[int]:
     rng = stream(world.seed, "route")
     n = len(lanes.strips)
     length = np.array([lines.along(lanes.centreline(s))[-1] for s in lanes.strips])
-    heads = np.array([a for a, after in enumerate(lanes.followers) for _ in after], dtype=np.int64)
-    tails = np.array([b for after in lanes.followers for b in after], dtype=np.int64)
+    for_cars = [s.kind in ("lane", "turn") for s in lanes.strips]
+    steps = [(a, b) for a, after in enumerate(lanes.followers) for b in after if for_cars[a] and for_cars[b]]
+    heads, tails = np.array(steps, dtype=np.int64).reshape(-1, 2).T
     graph = csr_array((length[tails] + 0.01, (heads, tails)), shape=(n, n))
     _, part = connected_components(graph, connection="strong")
     size = np.bincount(part, weights=length, minlength=n)

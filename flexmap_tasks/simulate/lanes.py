@@ -16,6 +16,8 @@ from flexmap_tasks.simulate.roads import Network, Road
 
 BICYCLE_WIDTH_M, SHOULDER_WIDTH_M = 1.6, 2.5
 MAX_TURN_RAD = 2.6
+CLEAR_M = 1.0
+"""No two points of a bound nearer than this: annotation noise would turn the step between them."""
 STRAIGHT_RAD = 0.6
 
 Arm = tuple[int, bool]
@@ -137,8 +139,8 @@ def _road_strips(
     build: _Builder, network: Network, i: int, road: Road, trims: dict[Arm, float], shoulders: bool
 ) -> list[Strip]:
     """Lines from one edge of the road to the other, and the strips between them."""
-    line = lines.cut(road.xyz, trims[i, False], road.length_m - trims[i, True])
-    road_s = trims[i, False] + lines.along(line)
+    line = lines.cut(road.xyz, trims[i, False], road.length_m - trims[i, True], CLEAR_M)
+    road_s = _road_s(road, trims[i, False], trims[i, True])
     total, w = road.width_m, road.lane_width_m
     offsets = list(total / 2 - w * np.arange(road.forward + road.backward + 1))
     kinds = ["bus" if road.bus and k == 0 and road.backward > 1 else "lane" for k in range(road.backward)]
@@ -162,6 +164,13 @@ def _road_strips(
     return strips
 
 
+def _road_s(road: Road, first_m: float, last_m: float) -> Floats:
+    """Metres along the road of the vertices that `cut` keeps: its own, not those of the cut line."""
+    s = lines.along(road.xyz)
+    end = s[-1] - last_m
+    return np.concatenate([[first_m], s[(s > first_m + CLEAR_M) & (s < end - CLEAR_M)], [end]])
+
+
 def _junction(
     build: _Builder, lanes: LaneNetwork, ends: dict[tuple[int, int], list[int]], node: int, arms: list[Arm],
     spacing_m: float,
@@ -181,13 +190,24 @@ def _junction(
             if a != b and abs(turn) < MAX_TURN_RAD and not around:
                 angle[a, b] = turn
     for (a, b), turn in angle.items():
-        from_ids = ends[a[0], 1 if a[1] else -1]
-        to_ids = ends[b[0], -1 if b[1] else 1]
         main = abs(turn) <= min(abs(v) for (p, q), v in angle.items() if p == a or q == b)
-        first = sorted(from_ids, key=lambda k: lanes.strips[k].lane)
-        second = sorted(to_ids, key=lambda k: lanes.strips[k].lane)
-        for x, y in _pairs(len(first), len(second), turn, main):
-            _turn(build, lanes, first[x], second[y], node, turn * network.side, spacing_m)
+        first, second = ends[a[0], 1 if a[1] else -1], ends[b[0], -1 if b[1] else 1]
+        for x, y in _turns(lanes, first, second, turn, main):
+            _turn(build, lanes, x, y, node, turn * network.side, spacing_m)
+
+
+def _turns(
+    lanes: LaneNetwork, first: list[int], second: list[int], turn: float, main: bool
+) -> list[tuple[int, int]]:
+    """Lanes of one road that lead to lanes of another; bus lanes run on straight, or begin and end there."""
+    cars, buses = (
+        [sorted((k for k in side if lanes.strips[k].kind == kind), key=lambda k: lanes.strips[k].lane)
+         for side in (first, second)] for kind in ("lane", "bus")
+    )  # fmt: skip
+    pairs = [(cars[0][x], cars[1][y]) for x, y in _pairs(len(cars[0]), len(cars[1]), turn, main)]
+    if abs(turn) < STRAIGHT_RAD and main and (buses[0] or buses[1]):
+        pairs.append(((buses[0] or cars[0])[-1], (buses[1] or cars[1])[-1]))
+    return pairs
 
 
 def _pairs(n: int, m: int, turn: float, main: bool) -> list[tuple[int, int]]:

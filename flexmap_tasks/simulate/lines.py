@@ -19,10 +19,10 @@ def at(xy: Floats, s: Floats) -> Floats:
     return np.column_stack([np.interp(s, length, xy[:, k]) for k in range(xy.shape[1])])
 
 
-def cut(xy: Floats, s_from: float, s_to: float) -> Floats:
-    """The part between two arc lengths, vertices kept."""
+def cut(xy: Floats, s_from: float, s_to: float, clear_m: float = 1e-6) -> Floats:
+    """The part between two arc lengths; vertices nearer than `clear_m` to the new ends are left out."""
     length = along(xy)
-    inner = length[(length > s_from + 1e-6) & (length < s_to - 1e-6)]
+    inner = length[(length > s_from + clear_m) & (length < s_to - clear_m)]
     return at(xy, np.concatenate([[s_from], inner, [s_to]]))
 
 

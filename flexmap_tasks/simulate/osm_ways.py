@@ -60,10 +60,13 @@ def _walked(pieces: list[Piece], allowed: list[int], joined: dict[End, End]) -> 
     """Chains in the order of their first piece."""
     chains: list[list[Link]] = []
     seen: set[int] = set()
-    for k in allowed:
+    waiting = list(reversed(allowed))
+    while waiting:
+        k = waiting.pop()
         if k in seen:
             continue
-        chain = [_first_link(k, joined)]
+        waiting.append(k)  # a ring is cut where it would close: the piece it began with may be left
+        chain = [_first_link(k, joined, seen)]
         nodes = set(pieces[chain[0][0]].nodes.tolist())
         seen.add(chain[0][0])
         while (after := joined.get((chain[-1][0], not chain[-1][1]))) is not None:
@@ -80,10 +83,10 @@ def _walked(pieces: list[Piece], allowed: list[int], joined: dict[End, End]) -> 
     return chains
 
 
-def _first_link(piece: int, joined: dict[End, End]) -> Link:
-    """Walk back from a piece to where its chain begins; (piece, flipped) of the first link."""
+def _first_link(piece: int, joined: dict[End, End], seen: set[int]) -> Link:
+    """Walk back from a piece to where its chain begins, not into pieces that have their way."""
     here: Link = (piece, False)
-    trail = {piece}
+    trail = {piece} | seen
     while (before := joined.get(here)) is not None and before[0] not in trail:
         here = (before[0], not before[1])
         trail.add(before[0])

@@ -17,7 +17,9 @@ from flexmap_tasks.simulate.drive import Drive
 from flexmap_tasks.simulate.world import SlamSettings, World
 
 STEP_M = 1.0
-REVISIT_M, REVISIT_APART_M, CLOSURE_SIGMA_M = 6.0, 60.0, 0.02
+REVISIT_M, REVISIT_APART_M, CLOSURE_SIGMA_M, CLOSURE_SIGMA_RAD = 14.0, 60.0, 0.02, 1e-3
+LIDAR_REACH_M = 60.0
+"""Beyond this a heading error turns nothing: no lidar maps there, the drift just goes on."""
 BLEND_M, BLEND_POSES, BLEND_ROWS, CELL_M = 12.0, 40, 20_000, 5.0
 
 
@@ -139,7 +141,8 @@ def _drift(world: World, drive: Drive) -> tuple[Floats, Floats, Floats, Floats]:
     jitter = rng.normal(0.0, plan.position_walk_m_per_sqrt_m * root, (len(s), 3)) * np.array([1.0, 1.0, 0.5])
     turn_steps[0] = dip_steps[0] = 0.0
     pairs = _revisits(xyz) if plan.loop_closure != "none" else np.empty((0, 2), dtype=np.int64)
-    turn, dip = _accumulated(np.column_stack([turn_steps, dip_steps]), pairs, 1e-3, plan.loop_closure).T
+    angles = np.column_stack([turn_steps, dip_steps])
+    turn, dip = _accumulated(angles, pairs, np.zeros((len(pairs), 2)), CLOSURE_SIGMA_RAD, plan.loop_closure).T
     step = np.diff(xyz, axis=0, prepend=xyz[:1])
     cosine, sine = np.cos(turn), np.sin(turn)
     grown = (1.0 + scale)[:, None] * np.column_stack(
@@ -147,8 +150,18 @@ def _drift(world: World, drive: Drive) -> tuple[Floats, Floats, Floats, Floats]:
     )
     grown[:, 2] -= STEP_M * np.tan(dip)
     jitter[0] = 0.0
-    shift = _accumulated(grown - step + jitter, pairs, CLOSURE_SIGMA_M, plan.loop_closure)
+    now, then = pairs.T
+    beside = _turned(xyz[now] - xyz[then], turn[then])
+    shift = _accumulated(grown - step + jitter, pairs, beside, CLOSURE_SIGMA_M, plan.loop_closure)
     return s, shift, turn, dip
+
+
+def _turned(arm: Floats, turn: Floats) -> Floats:
+    """How far the end of each arm (n, 3) moves when it is turned about z."""
+    c, sn = np.cos(turn) - 1.0, np.sin(turn)
+    return np.column_stack(
+        [c * arm[:, 0] - sn * arm[:, 1], sn * arm[:, 0] + c * arm[:, 1], np.zeros(len(arm))]
+    )
 
 
 def _revisits(xyz: Floats) -> Ints:
@@ -163,13 +176,16 @@ def _revisits(xyz: Floats) -> Ints:
     return np.array(found, dtype=np.int64).reshape(-1, 2)
 
 
-def _accumulated(steps: Floats, pairs: Ints, sigma: float, closure: str) -> Floats:
-    """Sum of errors (n, k) along the way; `pairs` pull (smoothed) or throw (jumps) it back."""
+def _accumulated(steps: Floats, pairs: Ints, beside: Floats, sigma: float, closure: str) -> Floats:
+    """Sum of errors (n, k) along the way; `pairs` (m, 2) pull (smoothed) or throw (jumps) it back.
+
+    beside : (m, k) by how much the error now should differ from the one then, since the places differ
+    """
     total = np.cumsum(steps, axis=0)
     if len(pairs) == 0 or not steps.any():
         return total
     if closure == "jumps":
-        return _with_jumps(steps, pairs)
+        return _with_jumps(steps, pairs, beside)
     n = len(steps)
     spread = np.maximum(np.std(steps, axis=0).mean(), 1e-9)
     steps_of = csr_array(
@@ -182,17 +198,17 @@ def _accumulated(steps: Floats, pairs: Ints, sigma: float, closure: str) -> Floa
         shape=(len(pairs), n),
     ).tocsr()
     normal = (smooth.T @ smooth + tie.T @ tie).tocsc()
-    right = smooth.T @ (steps / spread)
+    right = smooth.T @ (steps / spread) + tie.T @ (beside / sigma)
     return np.column_stack([spsolve(normal, right[:, k]) for k in range(steps.shape[1])])
 
 
-def _with_jumps(steps: Floats, pairs: Ints) -> Floats:
+def _with_jumps(steps: Floats, pairs: Ints, beside: Floats) -> Floats:
     """Errors of a tracker that snaps back to its old map when it comes to a known place."""
     out = np.cumsum(steps, axis=0)
     last = -(10**9)
-    for now, then in pairs.tolist():
+    for (now, then), gap in zip(pairs.tolist(), beside, strict=True):
         if now - last > 40:
-            out[now:] += out[then] - out[now]
+            out[now:] += out[then] + gap - out[now]
             last = now
     return out
 
@@ -207,7 +223,9 @@ def _field(drive: Drive, s: Floats, shift: Floats, turn: Floats, low_m: Floats, 
     nx, ny = (np.ceil((high_m - low_m) / cell).astype(int) + 1).tolist()
     grid = np.stack(np.meshgrid(np.arange(nx), np.arange(ny)), axis=-1).reshape(-1, 2) * cell + low_m
     tree = cKDTree(xy)
-    parts = [_blended(part, tree, xy, shift, turn) for part in np.array_split(grid, len(grid) // BLEND_ROWS + 1)]
+    parts = [
+        _blended(part, tree, xy, shift, turn) for part in np.array_split(grid, len(grid) // BLEND_ROWS + 1)
+    ]
     return DriftField(low_m, cell, np.vstack(parts).reshape(ny, nx, 3))
 
 
@@ -215,9 +233,11 @@ def _blended(places: Floats, tree: cKDTree, xy: Floats, shift: Floats, turn: Flo
     """(n, 3) blend of the corrections of the poses nearest to each place (n, 2)."""
     near_m, near = tree.query(places, k=min(BLEND_POSES, len(xy)))
     near_m, near = np.reshape(near_m, (len(places), -1)), np.reshape(near, (len(places), -1))
-    weight = np.exp((near_m[:, :1] ** 2 - near_m**2) / (2 * BLEND_M**2))
+    width = np.hypot(BLEND_M, 0.4 * near_m[:, :1])
+    weight = np.exp((near_m[:, :1] ** 2 - near_m**2) / (2 * width**2))
     weight /= weight.sum(axis=1, keepdims=True)
     arm = places[:, None] - xy[near]
+    arm *= np.minimum(1.0, LIDAR_REACH_M / np.maximum(near_m, 1.0))[..., None]
     c, sn = np.cos(turn[near]) - 1.0, np.sin(turn[near])
     east = shift[near, 0] + c * arm[..., 0] - sn * arm[..., 1]
     north = shift[near, 1] + sn * arm[..., 0] + c * arm[..., 1]

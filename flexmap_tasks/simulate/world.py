@@ -67,7 +67,7 @@ class NetworkSettings(Params):
 class DriveSettings(Params):
     """The vehicle's way through the town."""
 
-    length_m: Positive = 1500.0
+    length_m: Annotated[float, Field(ge=50, le=1_000_000)] = 1500.0
     return_to_start: bool = False
     acceleration_m_s2: Positive = 1.5
     lateral_acceleration_m_s2: Positive = 2.0
@@ -118,7 +118,9 @@ class SlamSettings(Params):
     """Odometry: how SLAM wanders off."""
 
     rate_hz: Annotated[float, Field(ge=0.1, le=100)] = 10.0
-    keyframe_m: NonNegative = Field(0.0, description="a pose only after this distance; 0 keeps all")
+    keyframe_m: Annotated[float, Field(ge=0, le=10)] = Field(
+        0.0, description="a pose only after this distance; 0 keeps all"
+    )
     yaw_walk_mrad_per_sqrt_m: NonNegative = 0.3
     pitch_walk_mrad_per_sqrt_m: NonNegative = 0.1
     scale_sigma: Annotated[float, Field(ge=0, le=0.05)] = Field(0.002, description="slowly varying")
@@ -211,7 +213,7 @@ class World(Params):
     osm: OsmSettings = OsmSettings()
     control_points: ControlPointSettings = ControlPointSettings()
 
-    def changed(self, **parts: dict[str, Any]) -> World:
+    def changed(self, **parts: Any) -> World:
         """The same world with some settings changed: `world.changed(osm={"field_sigma_m": 3.0})`."""
         data = self.model_dump()
         for part, values in parts.items():
@@ -230,7 +232,8 @@ class World(Params):
                  "standstill_sigma_m", "altitude_bias_m", "clock_offset_s"), 0
             ) | {"lever_arm_m": (0.0, 0.0, 0.0), "covariance": "honest"},
             slam=dict.fromkeys(
-                ("yaw_walk_mrad_per_sqrt_m", "pitch_walk_mrad_per_sqrt_m", "scale_sigma", "position_walk_m_per_sqrt_m",
+                ("yaw_walk_mrad_per_sqrt_m", "pitch_walk_mrad_per_sqrt_m", "scale_sigma",
+                 "position_walk_m_per_sqrt_m",
                  "position_noise_m", "angle_noise_mrad", "tilt_roll_deg", "tilt_pitch_deg"), 0
             ),
             cloud={"noise_m": 0},

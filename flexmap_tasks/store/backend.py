@@ -1,4 +1,4 @@
-"""Where bytes live: one small interface, a folder today."""
+"""Where bytes live: one small interface; here for a folder, in `s3` for a server."""
 
 from __future__ import annotations
 
@@ -6,18 +6,41 @@ import contextlib
 import errno
 import os
 import secrets
+import time
 from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
 
 from flexmap_tasks.errors import StoreError
 
+RENEW_AFTER_S = 600.0
+"""What is used again counts as new for `gc`; telling it this often is enough."""
+
+
+@dataclass(frozen=True, slots=True)
+class Entry:
+    """What lies under a key: `size` in bytes, `modified_s` seconds since 1970 by the keeper's clock."""
+
+    key: str
+    size: int
+    modified_s: float
+
 
 class Backend(Protocol):
-    """A flat space of keys; every write is whole or not at all."""
+    """A flat space of keys; every write is whole or not at all.
+
+    url : what a person calls it; at_once : how many requests it likes at the same time
+    """
+
+    url: str
+    at_once: int
 
     def get(self, key: str) -> bytes | None:
         """The content, or None when there is none."""
+
+    def fetch(self, key: str) -> bytes | None:
+        """The same from where it is kept, past any cache."""
 
     def put(self, key: str, content: bytes, *, replace: bool = False) -> None:
         """Store the content; the first writer wins unless `replace`."""
@@ -25,11 +48,17 @@ class Backend(Protocol):
     def size(self, key: str) -> int | None:
         """Bytes of the content, or None when there is none."""
 
+    def modified(self, key: str) -> float | None:
+        """When the content was written or renewed, by the keeper's clock; None when there is none."""
+
     def delete(self, key: str) -> None:
         """Remove the content if it is there."""
 
-    def list(self, prefix: str) -> Iterator[str]:
-        """All keys below a prefix, sorted."""
+    def renew(self, key: str) -> None:
+        """Let the content count as new, where that costs nothing."""
+
+    def entries(self, folder: str) -> Iterator[Entry]:
+        """All that lies below a folder, sorted by key."""
 
     def local(self, key: str) -> Path:
         """A path where the content can be read."""
@@ -38,8 +67,11 @@ class Backend(Protocol):
 class FolderBackend:
     """Keys are files below a folder: written beside, synced, then renamed or linked into place."""
 
+    at_once = 1
+
     def __init__(self, root: Path) -> None:
         self.root = root
+        self.url = str(root)
 
     def get(self, key: str) -> bytes | None:
         """See Backend."""
@@ -49,6 +81,10 @@ class FolderBackend:
             return None
         except OSError as error:
             raise _explain(error, self.root) from error
+
+    def fetch(self, key: str) -> bytes | None:
+        """See Backend."""
+        return self.get(key)
 
     def put(self, key: str, content: bytes, *, replace: bool = False) -> None:
         """See Backend."""
@@ -71,8 +107,17 @@ class FolderBackend:
 
     def size(self, key: str) -> int | None:
         """See Backend."""
+        stat = self._stat(key)
+        return stat.st_size if stat else None
+
+    def modified(self, key: str) -> float | None:
+        """See Backend."""
+        stat = self._stat(key)
+        return stat.st_mtime if stat else None
+
+    def _stat(self, key: str) -> os.stat_result | None:
         try:
-            return (self.root / key).stat().st_size
+            return (self.root / key).stat()
         except (FileNotFoundError, NotADirectoryError):
             return None
         except OSError as error:
@@ -85,17 +130,37 @@ class FolderBackend:
         except OSError as error:
             raise _explain(error, self.root) from error
 
-    def list(self, prefix: str) -> Iterator[str]:
+    def renew(self, key: str) -> None:
+        """See Backend. What another user wrote, or a store that is read-only, stays as old as it is."""
+        with contextlib.suppress(OSError):
+            path = self.root / key
+            if time.time() - path.stat().st_mtime > RENEW_AFTER_S:
+                os.utime(path)
+
+    def entries(self, folder: str) -> Iterator[Entry]:
         """See Backend."""
-        top = self.root / prefix
-        for folder, folders, files in os.walk(top):
-            folders.sort()
-            for name in sorted(files):
-                yield (Path(folder) / name).relative_to(self.root).as_posix()
+        yield from _walk(self.root / folder, folder)
 
     def local(self, key: str) -> Path:
         """See Backend."""
         return self.root / key
+
+
+def _walk(path: Path, key: str) -> Iterator[Entry]:
+    try:
+        with os.scandir(path) as found:
+            inside = sorted(found, key=lambda entry: entry.name)
+    except (FileNotFoundError, NotADirectoryError):  # another process may clean up at the same time
+        return
+    except OSError as error:
+        raise _explain(error, path) from error
+    for entry in inside:
+        if entry.is_dir(follow_symlinks=False):
+            yield from _walk(Path(entry.path), f"{key}/{entry.name}")
+            continue
+        with contextlib.suppress(FileNotFoundError):
+            stat = entry.stat(follow_symlinks=False)
+            yield Entry(f"{key}/{entry.name}", stat.st_size, stat.st_mtime)
 
 
 def _write_synced(path: Path, content: bytes) -> None:

@@ -9,8 +9,9 @@ import toy
 
 from flexmap_tasks.engine.execute import Engine
 from flexmap_tasks.engine.local import run_local
-from flexmap_tasks.engine.plan import make_plan, read_last_run, write_last_run
+from flexmap_tasks.engine.plan import make_plan
 from flexmap_tasks.engine.release import publish_release
+from flexmap_tasks.engine.runs import read_last_run, write_last_run
 from flexmap_tasks.store.store import Store
 
 

@@ -5,7 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
+import pytest
 
+from flexmap_tasks.model import lanelets as lanes
 from flexmap_tasks.model.arrays import strings
 from flexmap_tasks.model.maps import Findings, LaneletMap, PlacedRoads, RoadNetwork
 from flexmap_tasks.model.osm import OsmDocument, OsmNodes, OsmRelations, OsmWays, Tags
@@ -170,3 +172,24 @@ def metres_by_way(matches) -> dict[tuple[int, int, int], float]:
         key = (lanelet, way, sign)
         out[key] = out.get(key, 0.0) + b - a
     return out
+
+
+def covered_once(built, matches) -> None:
+    """Every metre of every lane is in exactly one row, rows in order."""
+    found = lanes.lanelets_of(built)
+    length = dict(
+        zip(found.id.tolist(), lanes.lengths_m(lanes.centrelines(built, found)).tolist(), strict=True)
+    )
+    order = np.lexsort((matches.s_from_m, matches.lanelet_id))
+    assert (order == np.arange(len(matches))).all()
+    for i in np.unique(matches.lanelet_id):
+        rows = np.flatnonzero(matches.lanelet_id == i)
+        a, b = matches.s_from_m[rows], matches.s_to_m[rows]
+        assert a[0] == 0.0
+        assert (a[1:] == b[:-1]).all()
+        assert b[-1] == pytest.approx(length[int(i)], abs=1e-9)
+        assert (b > a).all()
+
+
+def differing_metres(a, b) -> float:
+    return sum(abs(a.get(k, 0.0) - b.get(k, 0.0)) for k in a.keys() | b.keys()) / 2

@@ -5,6 +5,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from matching_maps import (
     MapDraft,
+    covered_once,
+    differing_metres,
     from_ways,
     lanelet_map,
     metres_by_way,
@@ -21,7 +23,6 @@ from flexmap_tasks.conflation.match import match
 from flexmap_tasks.conflation.references import reference_lines
 from flexmap_tasks.geometry.buffers import BufferShape, inside
 from flexmap_tasks.geometry.segments import cut
-from flexmap_tasks.model import lanelets as lanes
 from flexmap_tasks.model.conflation import References
 from flexmap_tasks.model.match_statistics import match_statistics
 
@@ -37,23 +38,6 @@ def straight():
     draft = MapDraft()
     forward, backward = two_way_road(draft, X)
     return draft.build(), forward, backward
-
-
-def covered_once(built, matches) -> None:
-    """Every metre of every lane is in exactly one row, rows in order."""
-    found = lanes.lanelets_of(built)
-    length = dict(
-        zip(found.id.tolist(), lanes.lengths_m(lanes.centrelines(built, found)).tolist(), strict=True)
-    )
-    order = np.lexsort((matches.s_from_m, matches.lanelet_id))
-    assert (order == np.arange(len(matches))).all()
-    for i in np.unique(matches.lanelet_id):
-        rows = np.flatnonzero(matches.lanelet_id == i)
-        a, b = matches.s_from_m[rows], matches.s_to_m[rows]
-        assert a[0] == 0.0
-        assert (a[1:] == b[:-1]).all()
-        assert b[-1] == pytest.approx(length[int(i)], abs=1e-9)
-        assert (b > a).all()
 
 
 def test_a_road_beside_its_way_is_matched_in_both_directions():
@@ -229,10 +213,6 @@ def test_ways_reversed_give_the_same_matches_the_other_way_round(garching, seed)
     got = {(i, w, -d if flip.get(w) else d): m for (i, w, d), m in got.items()}
     assert expected.keys() == got.keys()
     assert all(expected[k] == pytest.approx(got[k], abs=1e-6) for k in expected)
-
-
-def differing_metres(a, b) -> float:
-    return sum(abs(a.get(k, 0.0) - b.get(k, 0.0)) for k in a.keys() | b.keys()) / 2
 
 
 def test_ways_split_give_the_same_matches(garching):

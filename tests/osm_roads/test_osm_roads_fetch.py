@@ -239,7 +239,7 @@ def test_a_small_change_of_the_track_asks_for_the_same_box() -> None:
         ([179.9995], [10.0], "antimeridian"),
         ([10.0], [89.9], "pole"),
         ([10.0], [-85.0], "pole"),
-        ([11.0, 0.0], [48.0, 0.0], "more than one drive"),
+        ([11.0, 1.0], [48.0, 1.0], "more than one drive"),
     ],
 )
 def test_tracks_no_server_can_be_asked_for(lon: list[float], lat: list[float], words: str) -> None:

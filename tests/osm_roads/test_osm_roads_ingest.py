@@ -317,3 +317,17 @@ def test_a_real_gzip(shared_data: Path) -> None:
     assert len(roads) > 2000
     assert set(roads.timestamp) == {""}
     assert (np.abs(roads.lonlat_deg - (7.77, 49.44)) < 1).all()
+
+
+def test_a_pbf_that_claims_more_than_it_can_hold(
+    tmp_path: Path,
+) -> None:
+    ways = [way(i, [1, 2] * 900, version=1, timestamp="2021-02-03T04:05:06Z") for i in range(1, 700)]
+    xml, pbf = tmp_path / "b.osm", tmp_path / "b.osm.pbf"
+    xml.write_bytes(document(node(1), node(2), *ways))
+    with osmium.SimpleWriter(str(pbf)) as writer:
+        for element in osmium.FileProcessor(str(xml)):
+            writer.add(element)
+    assert pbf.stat().st_size < 60_000
+    with pytest.raises(InputError, match="more ways and nodes than its size"):
+        ingest_osm_roads(Source("b.osm.pbf", pbf), PARAMS)

@@ -21,7 +21,8 @@ import pytest
 from flexmap_tasks.config import FlexMapConfig
 from flexmap_tasks.engine.execute import Engine, Outcome
 from flexmap_tasks.engine.local import run_local
-from flexmap_tasks.engine.plan import make_plan, read_last_run
+from flexmap_tasks.engine.plan import make_plan
+from flexmap_tasks.engine.runs import read_last_run
 from flexmap_tasks.formats.config_file import load_config
 from flexmap_tasks.pipeline import map_update
 from flexmap_tasks.store.store import Store

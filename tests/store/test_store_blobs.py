@@ -141,12 +141,12 @@ def test_a_killed_writer_leaves_only_whole_blobs(tmp_path):
     for attempt in range(5):
         process = subprocess.Popen([sys.executable, "-c", KILLED, str(tmp_path)])
         store = Store.open(tmp_path)
-        while not list(store.backend.list("objects")):
+        while not list(store.backend.entries("objects")):
             pass
         threading.Event().wait(0.02 * attempt)
         process.kill()
         process.wait()
-        for key in store.backend.list("objects"):
-            sha256 = key.removeprefix("objects/").replace("/", "")
-            content = store.backend.get(key)
+        for entry in store.backend.entries("objects"):
+            sha256 = entry.key.removeprefix("objects/").replace("/", "")
+            content = store.backend.get(entry.key)
             assert store.read_blob(Blob(sha256, len(content or b""))) == content

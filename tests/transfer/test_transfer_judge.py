@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 
@@ -12,8 +13,9 @@ import numpy as np
 import pytest
 from transfer_worlds import matches_of, read, roads_of, run, save
 
+from flexmap_tasks.config import TransferParams
 from flexmap_tasks.model.conflation import Enriched, Matches
-from flexmap_tasks.model.lanelets import centrelines, lanelets_of, lengths_m
+from flexmap_tasks.model.lanelets import centrelines, follow_pairs, lanelets_of, lengths_m
 from flexmap_tasks.model.maps import LaneletMap
 
 lanelet2 = pytest.importorskip("lanelet2")
@@ -102,6 +104,45 @@ def test_no_harm(shared_data: Path, judge: Path, tmp_path: Path, name: str, seed
             assert speeds[lanelet] == pytest.approx(value, abs=0.01)
 
 
+@pytest.mark.parametrize("name", MAPS)
+def test_cuts_keep_every_way_through_the_map(shared_data: Path, name: str) -> None:
+    before = read(shared_data / name)
+    after = run(before, made_up_matches(before, 5), roads_of(TAGS))
+    cut = np.flatnonzero(after.transfers.action == "split")
+    source = dict(
+        zip(
+            after.transfers.lanelet_id[cut].tolist(),
+            after.transfers.source_lanelet_id[cut].tolist(),
+            strict=True,
+        )
+    )
+    pairs = [(source.get(a, a), source.get(b, b)) for a, b in followers(after.map)]
+    assert {p for p in pairs if p[0] != p[1]} == set(followers(before))
+    assert len(pairs) == len(followers(before)) + len(cut)
+
+
+def followers(lanelet_map: LaneletMap) -> list[tuple[int, int]]:
+    lanelets = lanelets_of(lanelet_map)
+    return [(a, b) for a, b in lanelets.id[follow_pairs(lanelet_map, lanelets)].tolist()]
+
+
+@pytest.mark.parametrize("name", MAPS)
+def test_removing_fragments_does_no_other_harm(
+    shared_data: Path, judge: Path, tmp_path: Path, name: str
+) -> None:
+    source = shared_data / name
+    before = read(source)
+    ids = lanelets_of(before).id
+    length = lengths_m(centrelines(before, lanelets_of(before)))
+    matched = [(int(i), 0.0, float(s), 100, 1) for i, s in zip(ids, length, strict=True) if int(i) % 7]
+    params = TransferParams(remove_fragments=True)
+    after = run(before, matches_of(matched), roads_of([{"highway": "residential", "lanes": "1"}]), params)
+    gone = after.transfers.lanelet_id[after.transfers.action == "remove"].tolist()
+    assert sorted(set(ids.tolist()) - set(lanelets_of(after.map).id.tolist())) == sorted(gone)
+    harm, _ = judged(judge, source, save(after.map, tmp_path / "after.osm"), gone)
+    assert {k: v for k, v in harm.items() if v} == {}
+
+
 def told_speeds(after: Enriched) -> dict[int, float]:
     table = after.transfers
     at = np.flatnonzero((table.key == "speed_limit") & (table.action == "set"))
@@ -119,3 +160,37 @@ def test_same_inputs_same_bytes(shared_data: Path, tmp_path: Path) -> None:
     before = read(shared_data / MAPS[1])
     maps = [run(before, made_up_matches(before, 3), roads_of(TAGS)).map for _ in range(2)]
     assert save(maps[0], tmp_path / "a.osm").read_bytes() == save(maps[1], tmp_path / "b.osm").read_bytes()
+
+
+def broken(lanelet_map: LaneletMap, random: np.random.Generator) -> LaneletMap:
+    """The map with ways and relations that say nonsense."""
+    document = lanelet_map.document
+    ways, relations = document.ways, document.relations
+    ref, kind, member, role = (
+        c.copy() for c in (ways.ref, relations.member_type, relations.member_ref, relations.member_role)
+    )
+    for i in random.integers(0, len(ways.id), 20).tolist():
+        at = slice(int(ways.offset[i]), int(ways.offset[i + 1]))
+        nodes = ref[at]
+        ref[at] = [nodes[::-1], np.roll(nodes, 1), np.full(len(nodes), nodes[0]), np.full(len(nodes), 10**9)][
+            random.integers(0, 4)
+        ]
+    for i in random.integers(0, len(member), 25).tolist():
+        member[i] = [random.choice(ways.id), random.choice(relations.id), -5][random.integers(0, 3)]
+        kind[i] = str(random.choice(["node", "way", "relation"]))
+        role[i] = str(random.choice(["left", "right", "centerline", "regulatory_element", "outer", ""]))
+    changed = replace(relations, member_type=kind, member_ref=member, member_role=role)
+    return replace(lanelet_map, document=replace(document, ways=replace(ways, ref=ref), relations=changed))
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_broken_maps_end_nothing_and_lose_nothing(shared_data: Path, seed: int) -> None:
+    whole = read(shared_data / MAPS[1 + seed % 2])
+    before = broken(whole, np.random.default_rng(seed))
+    params = TransferParams(split_everywhere=seed % 4 < 2, split_junctions=True, remove_fragments=True)
+    after = run(before, made_up_matches(whole, seed), roads_of(TAGS), params)
+    gone = after.transfers.lanelet_id[after.transfers.action == "remove"]
+    for kind in ("nodes", "ways", "relations"):
+        ids = getattr(after.map.document, kind).id
+        assert np.isin(np.setdiff1d(getattr(before.document, kind).id, gone), ids).all()
+        assert len(np.unique(ids)) == len(ids)

@@ -24,6 +24,7 @@ from transfer_worlds import (
 )
 
 from flexmap_tasks.config import TransferParams
+from flexmap_tasks.model.conflation import Enriched
 from flexmap_tasks.model.lanelets import (
     adjacency,
     bound_polylines,
@@ -325,3 +326,51 @@ def test_new_ids_do_not_depend_on_other_cuts(tmp_path: Path) -> None:
     two = run(before, along_x(before, [43.0, 143.0]), roads_of(SPEEDS)).map
     for kind in ("nodes", "ways", "relations"):
         assert np.isin(getattr(one.document, kind).id, getattr(two.document, kind).id).all()
+
+
+def picture(lanelet_map: LaneletMap) -> list[tuple[object, ...]]:
+    """Every lanelet by its bounds and tags, without any id."""
+    lanelets = lanelets_of(lanelet_map)
+    lines = [bound_polylines(lanelet_map, lanelets, side) for side in ("left", "right")]
+    out = []
+    for k, i in enumerate(lanelets.id.tolist()):
+        shape = tuple(
+            tuple(np.round(b.xyz_m[b.offset[k] : b.offset[k + 1]], 3).ravel().tolist()) for b in lines
+        )
+        out.append((shape, tuple(sorted(tags_of(lanelet_map, i).items()))))
+    return sorted(out)
+
+
+def moved(after: Enriched, shift: dict[int, float]) -> dict[int, float]:
+    """The shift of every lanelet after cutting, as that of what it was cut from."""
+    cut = {r["lanelet_id"]: shift[r["source_lanelet_id"]] for r in rows(after, action="split")}
+    return shift | cut
+
+
+@settings(max_examples=60, deadline=None, suppress_health_check=list(HealthCheck))
+@given(
+    stops=st.lists(st.floats(1.0, 199.0), min_size=1, max_size=4),
+    spread_m=st.sampled_from([0.0, 1.5, 6.0]),
+    forward=st.integers(1, 3),
+    backward=st.integers(0, 3),
+    seed=st.integers(0, 1000),
+)
+def test_ids_order_and_drawing_direction_do_not_matter(
+    stops: list[float], spread_m: float, forward: int, backward: int, seed: int
+) -> None:
+    draft, random = Draft(), np.random.default_rng(seed)
+    road(draft, [80.0, 120.0], forward, backward)
+    other, new = draft.renumbered(random)
+    with TemporaryDirectory() as one, TemporaryDirectory() as two:
+        first, second = draft.read(Path(one)), other.read(Path(two))
+        roads = roads_of(SPEEDS)
+        ids = lanelets_of(first).id.tolist()
+        shift = dict(zip(ids, random.uniform(-spread_m, spread_m, len(ids)).tolist(), strict=True))
+        told = along_x(first, sorted(stops), shift=shift)
+        same = along_x(second, sorted(stops), shift={new[i]: s for i, s in shift.items()})
+        after = run(first, told, roads)
+        assert picture(after.map) == picture(run(second, same, roads).map)
+        sound(first, after.map)
+        assert lengths_m(centrelines(after.map, lanelets_of(after.map))).min() > 1.49
+        twice = run(after.map, along_x(after.map, sorted(stops), shift=moved(after, shift)), roads)
+        assert not rows(twice, action="split")

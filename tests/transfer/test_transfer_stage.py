@@ -4,7 +4,19 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from transfer_worlds import Draft, along_x, edited, matches_of, members_of, road, roads_of, rows, run, tags_of
+from transfer_worlds import (
+    Draft,
+    along_x,
+    edited,
+    matches_of,
+    members_of,
+    road,
+    roads_of,
+    rows,
+    run,
+    save,
+    tags_of,
+)
 
 from flexmap_tasks.config import TransferParams, TransferRule
 from flexmap_tasks.conflation.lane_check import expected_lanes
@@ -141,7 +153,24 @@ def test_a_value_of_a_small_part_is_not_written(tmp_path: Path) -> None:
     )
     assert tags_of(after.map, ahead)["speed_limit"] == "10"
     assert rows(after, lanelet_id=ahead, key="speed_limit", action="review")[0]["reason"].startswith(
-        "holds for 12 %"
+        "only 12 %"
+    )
+
+
+def test_uncertain_matches_that_agree_do_not_stand_in_the_way(tmp_path: Path) -> None:
+    before, ahead, _ = one_road(tmp_path)
+    pieces = [(ahead, 0.0, 40.0, 100, 1), (ahead, 40.0, 100.0, 200, 1)]
+    roads, params = roads_of([{"maxspeed": "70"}, {"maxspeed": "70"}]), TransferParams(split=False)
+    agreed = run(before, matches_of(pieces, decision=["match", "review"]), roads, params)
+    assert tags_of(agreed.map, ahead)["speed_limit"] == "70"
+    unsure = run(before, matches_of(pieces, decision=["review", "review"]), roads, params)
+    assert tags_of(unsure.map, ahead)["speed_limit"] == "10"
+    other = roads_of([{"maxspeed": "70"}, {"maxspeed": "60"}])
+    assert (
+        tags_of(run(before, matches_of(pieces, decision=["match", "review"]), other, params).map, ahead)[
+            "speed_limit"
+        ]
+        == "10"
     )
 
 
@@ -316,6 +345,31 @@ def test_no_fragment_that_a_rule_names(tmp_path: Path) -> None:
     assert stray in lanelets_of(after.map).id
 
 
+@pytest.mark.parametrize(
+    ("gap_m", "lanes", "matched", "gone"),
+    [(0.4, 2, False, True), (4.0, 2, False, False), (0.4, 3, False, False), (0.4, 2, True, False)],
+)
+def test_a_lone_lanelet_beside_a_full_carriageway(
+    tmp_path: Path, gap_m: float, lanes: int, matched: bool, gone: bool
+) -> None:
+    draft = Draft()
+    road(draft, [100.0], 1, 1)
+    edge = -3.5 - gap_m
+    near, far = (draft.way([draft.node(x, y) for x in (40.0, 50.0, 60.0)]) for y in (edge, edge - 3.0))
+    lone = draft.lanelet(near, far)
+    before = draft.read(tmp_path)
+    roads = roads_of([{"lanes": str(lanes)}, {"lanes": "1", "oneway": "yes"}])
+    pieces = [(int(i), 0.0, 100.0, 100, 1) for i in lanelets_of(before).id if i != lone]
+    after = run(
+        before,
+        matches_of(pieces + [(lone, 0.0, 20.0, 200, 1)] * matched),
+        roads,
+        TransferParams(remove_fragments=True),
+    )
+    assert (lone not in lanelets_of(after.map).id) == gone
+    assert len(rows(after, action="remove", lanelet_id=lone)) == gone
+
+
 def test_no_fragment_where_the_count_fits(tmp_path: Path) -> None:
     draft, _, stray = fragment_world(tmp_path)
     before = draft.read(tmp_path)
@@ -362,7 +416,7 @@ def test_what_a_person_changed_since_the_last_release_stays(
 
 
 def test_a_new_extract_changes_only_what_it_changed(tmp_path: Path) -> None:
-    before, ahead, back = one_road(tmp_path)
+    before, *_ = one_road(tmp_path)
     then, now = (
         [{"maxspeed": "50", "surface": "sett"}] * 2,
         [{"maxspeed": "50", "surface": "sett"}, {"maxspeed": "30", "surface": "sett"}],
@@ -371,3 +425,32 @@ def test_a_new_extract_changes_only_what_it_changed(tmp_path: Path) -> None:
     after = run(released, along_x(released, [40.0]), roads_of(now), last_release=released)
     assert {(r["key"], r["new"]) for r in rows(after, action="set")} == {("speed_limit", "30")}
     assert len(lanelets_of(after.map)) == 4
+
+
+def test_a_limit_may_land_as_a_rule(tmp_path: Path) -> None:
+    draft = Draft()
+    drawn = road(draft, [100.0, 100.0], 1, 1)
+    before = draft.read(tmp_path)
+    rule = TransferRule(key="maxspeed", target="speed_limit", parser="speed", element="speed_limit_rule")
+    params, roads = TransferParams(rules=(rule,)), roads_of([{"maxspeed": "50"}, {"maxspeed": "30 mph"}])
+    once = run(before, along_x(before, [143.0]), roads, params)
+    relations = once.map.document.relations
+    rules = relations.id[relations.tags.column("subtype") == "speed_limit"]
+    assert sorted(tags_of(once.map, int(r))["sign_type"] for r in rules) == ["48.28 km/h", "50 km/h"]
+    assert tags_of(once.map, drawn.forward[0][0])["speed_limit"] == "10"
+    twice = run(once.map, along_x(once.map, [143.0]), roads, params)
+    assert not rows(twice, action="set")
+    assert not rows(twice, action="review")
+    lanelet2 = pytest.importorskip("lanelet2")
+    path = save(once.map, tmp_path / "after.osm")
+    loaded, errors = lanelet2.io.loadRobust(
+        str(path), lanelet2.projection.UtmProjector(lanelet2.io.Origin(48.1, 11.5))
+    )
+    traffic = lanelet2.traffic_rules.create(
+        lanelet2.traffic_rules.Locations.Germany, lanelet2.traffic_rules.Participants.Vehicle
+    )
+    told = {r["lanelet_id"]: float(str(r["new"])) for r in rows(once, action="set")}
+    assert not errors
+    assert len(told) == 6
+    for lanelet in loaded.laneletLayer:
+        assert float(traffic.speedLimit(lanelet).speedLimit) == pytest.approx(told[lanelet.id], abs=0.01)

@@ -72,6 +72,19 @@ def test_speed_by_direction(tags: dict[str, str], sense: int, expected: Offer) -
     assert offer(SPEED, tags, sense, PARAMS) == expected
 
 
+def test_a_lanelet_driven_both_ways_needs_one_value_for_both() -> None:
+    assert offer(SPEED, {"maxspeed": "50", "maxspeed:forward": "30"}, 0, PARAMS).problem
+    assert offer(SPEED, {"maxspeed:backward": "30", "maxspeed:forward": "30"}, 0, PARAMS) == Offer("30")
+    assert offer(ONEWAY, {"oneway": "no"}, 0, PARAMS) == Offer()
+    assert offer(ONEWAY, {"oneway": "-1"}, 0, PARAMS) == Offer("yes")
+
+
+def test_variants_stand_in() -> None:
+    rule = TransferRule(key="name", variants=("official_name", "loc_name"), target="road_name")
+    assert offer(rule, {"loc_name": "B", "official_name": "A", "name": " "}, 1, PARAMS) == Offer("A")
+    assert offer(rule, {"loc_name": "B", "name": "C"}, 1, PARAMS) == Offer("C")
+
+
 @pytest.mark.parametrize("text", ["none", "signals", "0", "999", "50;30", "x" * 1000])
 def test_speeds_for_a_person(text: str) -> None:
     found = offer(SPEED, {"maxspeed": text}, 1, PARAMS)
@@ -157,3 +170,13 @@ def test_same_meaning() -> None:
 )
 def test_lane_numbers(text: str, lanes: int | None) -> None:
     assert count(text) == lanes
+
+
+def test_two_rules_for_one_attribute_are_refused() -> None:
+    with pytest.raises(ValueError, match="two rules write road_name"):
+        TransferParams(rules=(NAME, TransferRule(key="ref", target="road_name")))
+
+
+def test_a_speed_limit_rule_takes_speeds_only() -> None:
+    with pytest.raises(ValueError, match="speed_limit_rule"):
+        TransferRule(key="name", target="road_name", element="speed_limit_rule")

@@ -80,6 +80,21 @@ class Draft:
     def read(self, folder: Path) -> LaneletMap:
         return read(self.write(folder / "before.osm"))
 
+    def renumbered(self, random: np.random.Generator) -> tuple[Draft, dict[int, int]]:
+        """The same map with other ids in another order, some ways drawn the other way; and old id to new."""
+        new = dict(zip(range(1, self.last + 1), (random.permutation(self.last) + 1).tolist(), strict=True))
+        turned = {i for i in self.ways if random.uniform() < 0.5}
+        out = Draft(last=self.last)
+        for i in random.permutation(sorted(self.nodes)).tolist():
+            out.nodes[new[i]] = self.nodes[i]
+        for i in random.permutation(sorted(self.ways)).tolist():
+            refs = [new[r] for r in self.ways[i][0]]
+            out.ways[new[i]] = (refs[::-1] if i in turned else refs, self.ways[i][1])
+        for i in random.permutation(sorted(self.relations)).tolist():
+            members = [(t, new[r], role) for t, r, role in self.relations[i][0]]
+            out.relations[new[i]] = (members, self.relations[i][1])
+        return out, new
+
 
 def _xml_tags(tags: dict[str, str]) -> str:
     return "".join(f'<tag k="{k}" v="{v}"/>' for k, v in tags.items())
@@ -171,24 +186,29 @@ def matches_of(rows: list[tuple[int, float, float, int, int]], **columns: list[o
     )
 
 
-def along_x(lanelet_map: LaneletMap, stops: list[float], reach: tuple[float, float] = (-1e9, 1e9)) -> Matches:
-    """Match every lanelet to way 100, 200, ... between the given x; lanelets run along x or against it."""
+def along_x(
+    lanelet_map: LaneletMap,
+    stops: list[float],
+    reach: tuple[float, float] = (-1e9, 1e9),
+    shift: dict[int, float] | None = None,
+) -> Matches:
+    """Match every lanelet to way 100, 200, ... between the given x; lanelets run along x or against it.
+
+    shift : per lanelet id, by how much its own stops lie elsewhere
+    """
     lanelets = lanelets_of(lanelet_map)
     line = centrelines(lanelet_map, lanelets)
     length = lengths_m(line)
-    edges = [-1e9, *stops, 1e9]
     rows = []
-    for k in range(len(lanelets)):
-        a, b = (float(line.xyz_m[i, 0]) for i in (line.offset[k], line.offset[k + 1] - 1))
-        scale = length[k] / abs(b - a) if b != a else 1.0
+    for k, i in enumerate(lanelets.id.tolist()):
+        edges = [-1e9, *(s + (shift or {}).get(i, 0.0) for s in stops), 1e9]
+        a, b = (float(line.xyz_m[v, 0]) for v in (line.offset[k], line.offset[k + 1] - 1))
         for w in range(len(edges) - 1):
             low = max(min(a, b), edges[w], reach[0])
             high = min(max(a, b), edges[w + 1], reach[1])
             if high > low:
-                s = sorted(
-                    ((low - a) / (b - a) * abs(b - a) * scale, (high - a) / (b - a) * abs(b - a) * scale)
-                )
-                rows.append((int(lanelets.id[k]), s[0], s[1], (w + 1) * 100, 1 if b > a else -1))
+                s = sorted((x - a) / (b - a) * length[k] for x in (low, high))
+                rows.append((i, s[0], s[1], (w + 1) * 100, 1 if b > a else -1))
     return matches_of(rows)
 
 

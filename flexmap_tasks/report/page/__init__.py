@@ -13,6 +13,8 @@ SCRIPTS = (
     "inspect.js",
     "tables.js",
     "charts.js",
+    "selection.js",
+    "controls.js",
     "main.js",
 )
 """In the order in which they stand in the page; they share one scope."""

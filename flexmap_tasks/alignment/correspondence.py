@@ -1,0 +1,146 @@
+"""Which fix belongs to which place of the drive."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from flexmap_tasks.alignment.drive import Drive
+from flexmap_tasks.alignment.gnss_line import GnssLine
+from flexmap_tasks.geometry.graph2d import Fix, State
+from flexmap_tasks.geometry.rigid import PlanarFit, fit_planar_motion
+from flexmap_tasks.geometry.se2 import rotated, wrapped
+from flexmap_tasks.model.arrays import Floats, Ints
+from flexmap_tasks.model.tracks import GnssTrack
+
+REACH_M = 15.0
+"""How far along the line a place may slide from where the association put it."""
+
+EDGE_M = 1.5
+"""Next to a gap the direction of the line is not known."""
+
+MAX_GAP_S = 0.5
+"""A fix is only used where SLAM poses lie this near in time on both sides."""
+
+CAUCHY_M = 1.0
+"""Misfit at which a fix counts half in the rigid start."""
+
+
+class Correspondence(NamedTuple):
+    """Fixes tied to nodes.
+
+    fix : the observations; line_row : (m,) rows of the GnssLine; sigma_m : (m,) stated standard deviation
+    """
+
+    fix: Fix
+    line_row: Ints
+    sigma_m: Floats
+
+
+def by_shape(state: State, line: GnssLine, along_m: Floats, sigma_m: Floats) -> Correspondence:
+    """Without time: the place of the line beside every node's antenna, on the same pass.
+
+    along_m : (n,) arc length at every node from the monotone association
+    sigma_m : (k,) stated standard deviation of every fix of the line
+    """
+    lever = np.tile(state.shared[:2], (len(state.pose), 1))
+    antenna = state.pose[:, :2] + rotated(lever, state.pose[:, 2])
+    s = slide(line, antenna, along_m)
+    heading = line.heading_at(s)
+    along_gap = rotated(antenna - line.at(s), -heading)[:, 0]
+    ends = (s > EDGE_M) & (s < line.along_m[-1] - EDGE_M)
+    seen = line.seen_at(s) & line.seen_at(s - EDGE_M) & line.seen_at(s + EDGE_M)
+    node = np.flatnonzero(seen & ends & (np.abs(along_gap) < 1.0))
+    row = np.clip(np.searchsorted(line.along_m, s[node]), 0, len(line.index) - 1)
+    zero = np.zeros((len(node), 2))
+    fix = Fix(node, zero, zero[:, 0], zero, line.at(s[node]), heading[node] + np.pi / 2)
+    return Correspondence(fix, row, sigma_m[row])
+
+
+def slide(line: GnssLine, xy_m: Floats, along_m: Floats) -> Floats:
+    """(n,) arc length of the foot of every point on the line, no further than `REACH_M` from the given one."""
+    s = along_m
+    for _ in range(12):
+        ahead = rotated(xy_m - line.at(s), -line.heading_at(s))[:, 0]
+        s = np.clip(s + ahead, along_m - REACH_M, along_m + REACH_M)
+        s = np.clip(s, 0.0, line.along_m[-1])
+    return s
+
+
+def by_time(state: State, drive: Drive, line: GnssLine, gnss_s: Floats, sigma_m: Floats) -> Correspondence:
+    """With time: every fix tied to the node before it, the body's way since then taken from SLAM.
+
+    gnss_s : (k,) time of every fix of the line in seconds of the drive, clocks taken as one
+    """
+    offset = float(state.shared[3])
+    at = gnss_s + offset
+    row = np.flatnonzero(covered(drive, at))
+    pose, velocity = drive.at(at[row])
+    node_s = _stamps(drive)[drive.node]
+    node = np.clip(np.searchsorted(node_s, at[row], side="right") - 1, 0, len(node_s) - 1)
+    base = drive.pose[drive.node][node]
+    body = rotated(pose[:, :2] - base[:, :2], -base[:, 2])
+    velocity = rotated(velocity, -base[:, 2])
+    fix = Fix(
+        node,
+        body - offset * velocity,
+        wrapped(pose[:, 2] - base[:, 2]),
+        velocity,
+        line.xy_m[row],
+        np.zeros(len(row)),
+    )
+    return Correspondence(fix, row, sigma_m[row])
+
+
+def covered(drive: Drive, at_s: Floats) -> Floats:
+    """(k,) whether SLAM poses surround a time closely."""
+    stamp = _stamps(drive)
+    k = np.searchsorted(stamp, at_s)
+    inside = (k > 0) & (k < len(stamp))
+    k = np.clip(k, 1, len(stamp) - 1)
+    far = np.maximum(stamp[k] - stamp[k - 1], 0.0)
+    # SLAM that keeps one pose every few metres leaves longer lapses than this: then its own usual lapse counts
+    close: Floats = inside & (far <= max(MAX_GAP_S, 3.0 * float(np.median(np.diff(stamp)))))
+    return close
+
+
+def _stamps(drive: Drive) -> Floats:
+    if drive.stamp_s is None:
+        raise ValueError("the drive has no time")
+    return drive.stamp_s
+
+
+def timed_start(
+    drive: Drive, line: GnssLine, gnss_s: Floats, offset_max_s: float
+) -> tuple[PlanarFit, float] | None:
+    """Robust rigid motion and clock offset of a timed drive; None when the two times do not overlap.
+
+    Every offset on a grid is tried with a rigid fit over pieces of the drive; the one with the smallest typical
+    misfit starts the adjustment, which refines it.
+    """
+    offsets = np.linspace(-offset_max_s, offset_max_s, 2 * int(np.ceil(offset_max_s / 0.1)) + 1)
+    best: tuple[float, PlanarFit, float] | None = None
+    for offset in offsets[np.argsort(np.abs(offsets), kind="stable")].tolist():
+        row = np.flatnonzero(covered(drive, gnss_s + offset))
+        if len(row) < 3:
+            continue
+        source, target = drive.at(gnss_s[row] + offset)[0][:, :2], line.xy_m[row]
+        fit, misfit = _robust(source, target)
+        if best is None or misfit < 0.999 * best[0]:
+            best = (misfit, fit, offset)
+    return None if best is None else (best[1], best[2])
+
+
+def _robust(source: Floats, target: Floats) -> tuple[PlanarFit, float]:
+    weight = np.ones(len(source))
+    for _ in range(8):
+        fit = fit_planar_motion(source, target, weight)
+        gap = np.hypot(*(target - source @ fit.rotation.T - fit.translation).T)
+        weight = 1.0 / (1.0 + (gap / max(CAUCHY_M, float(np.median(gap)))) ** 2)
+    return fit, float(np.median(gap))
+
+
+def gnss_seconds(gnss: GnssTrack, line: GnssLine, first_ns: int) -> Floats | None:
+    """(k,) times of the line's fixes in seconds since the first pose; None when the recording has no time."""
+    return None if gnss.stamp_ns is None else (gnss.stamp_ns[line.index] - first_ns) * 1e-9

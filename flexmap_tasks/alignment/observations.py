@@ -1,0 +1,120 @@
+"""Everything the pose graph knows, as groups of observations."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from scipy import sparse
+
+from flexmap_tasks.alignment.correspondence import Correspondence
+from flexmap_tasks.geometry.adjustment import Group
+from flexmap_tasks.geometry.graph2d import GLOBALS, Fix, Relative, State, fix_rows, relative_rows
+from flexmap_tasks.model.arrays import Floats
+
+ALONG, YAW, GNSS, ACROSS = 0, 1, 2, 3
+"""Places of the groups whose noise is estimated."""
+
+START = np.array([0.1, 0.001, 1.0, 0.02])
+"""Where the estimates begin: metres and radians per 3 m of SLAM, and a factor on the stated sigmas of GNSS."""
+
+FLOOR = np.array([1e-3, 2e-5, 0.2, 1e-3])
+"""Noise below this is not believed of any sensor."""
+
+STEP_M = 3.0
+"""SLAM noise is stated over this way and grows with its root."""
+
+UNTIMED_ALONG_M = 20.0
+"""Without time a fix says next to nothing along the track; this only keeps the equations regular."""
+
+LEVER_M, SCALE = 3.0, 0.01
+"""What is known beforehand of lever arm (a car's size) and SLAM scale, one standard deviation."""
+
+
+REVISIT_STEPS = 1.0
+"""A revisit is never believed better than a step of odometry with this many times its deviation."""
+
+
+class Known(NamedTuple):
+    """What stays the same from step to step.
+
+    odometry, revisit : what SLAM says; revisit_sigma : metres and radians that revisits are believed to
+    control, control_sigma_m : the user's places
+    timed : fixes are tied by time; log_scale : logarithm of the scale known beforehand
+    clock_sigma_s : what is known of the clock offset
+    """
+
+    odometry: Relative
+    revisit: Relative
+    revisit_sigma: tuple[float, float]
+    control: Fix
+    control_sigma_m: Floats
+    timed: bool
+    log_scale: float
+    clock_sigma_s: float
+
+
+def groups_of(known: Known, found: Correspondence, state: State) -> list[Group]:
+    """All observations, linearised at a state."""
+    odometry = relative_rows(state, known.odometry)
+    unit = np.sqrt(np.maximum(np.hypot(*known.odometry.motion[:, :2].T), 0.1) / STEP_M)
+    along, across, yaw = (
+        Group(odometry.residual[k::3], odometry.jacobian[k::3], unit, None, 0) for k in range(3)
+    )
+    fixes = fix_rows(state, found.fix)
+    count = len(found.sigma_m)
+    if known.timed:
+        each = np.repeat(np.arange(count), 2)
+        gnss = Group(fixes.residual, fixes.jacobian, np.repeat(found.sigma_m, 2), each, GNSS)
+    else:
+        gnss = Group(fixes.residual[0::2], fixes.jacobian[0::2], found.sigma_m, np.arange(count), GNSS)
+    out = [
+        along._replace(scale_of=ALONG),
+        yaw._replace(scale_of=YAW),
+        gnss,
+        across._replace(scale_of=ACROSS),
+        _shared(known, state),
+        *_revisits(known, state),
+    ]
+    if not known.timed:
+        far = np.full(count, UNTIMED_ALONG_M)
+        out.append(Group(fixes.residual[1::2], fixes.jacobian[1::2], far, None, -1))
+    if len(known.control.node):
+        control = fix_rows(state, known.control, antenna=False)
+        out.append(Group(control.residual, control.jacobian, np.repeat(known.control_sigma_m, 2), None, -1))
+    return out
+
+
+def _shared(known: Known, state: State) -> Group:
+    height = state.pose.size + GLOBALS
+    columns = state.pose.size + np.arange(GLOBALS)
+    jacobian = sparse.csr_matrix((np.ones(GLOBALS), (np.arange(GLOBALS), columns)), shape=(GLOBALS, height))
+    expected = np.array([0.0, 0.0, known.log_scale, 0.0])
+    sigma = np.array([LEVER_M, LEVER_M, SCALE, max(known.clock_sigma_s, 1e-9)])
+    return Group(state.shared - expected, jacobian, sigma, None, -1)
+
+
+def _revisits(known: Known, state: State) -> list[Group]:
+    if len(known.revisit.first) == 0:
+        return []
+    rows = relative_rows(state, known.revisit)
+    pair = np.arange(len(known.revisit.first))
+    place = np.sort(np.concatenate([3 * pair, 3 * pair + 1]))
+    near, turn = known.revisit_sigma
+    return [
+        Group(rows.residual[place], rows.jacobian[place], np.full(len(place), near), np.repeat(pair, 2), -1),
+        Group(rows.residual[2::3], rows.jacobian[2::3], np.full(len(pair), turn), pair, -1),
+    ]
+
+
+def revisit_sigma(revisit: Relative, state: State, scale: Floats) -> tuple[float, float]:
+    """How well SLAM agrees with itself where it passes twice, by a solution that was not told of it.
+
+    A SLAM that closes its loops is believed nearly like its odometry; one that does not, hardly at all. It
+    cannot be estimated with the rest: revisits are no independent measurements, and a SLAM in agreement
+    with itself would draw their noise down to nothing.
+    """
+    gap = relative_rows(state, revisit).residual.reshape(-1, 3)
+    near = 1.4826 * float(np.median(np.hypot(gap[:, 0], gap[:, 1])))
+    turn = 1.4826 * float(np.median(np.abs(gap[:, 2])))
+    return max(near, REVISIT_STEPS * float(scale[ALONG])), max(turn, REVISIT_STEPS * float(scale[YAW]))

@@ -1,0 +1,43 @@
+"""Places that the drive passes more than once."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from flexmap_tasks.geometry.graph2d import Relative
+from flexmap_tasks.geometry.polyline import arc_length_m
+from flexmap_tasks.geometry.se2 import between
+from flexmap_tasks.model.arrays import Floats, Ints
+
+APART_M = 50.0
+"""Poses nearer along the way than this are neighbours, not a revisit."""
+
+MAX_PER_POSE = 1
+"""More partners of one pose are the same news again: SLAM agrees with itself."""
+
+
+def revisit_edges(pose: Floats, radius_m: float) -> Relative:
+    """Pairs of nodes on different passes within `radius_m`, and how SLAM sees one from the other.
+
+    pose : (n, 3) nodes in the SLAM frame
+    """
+    if radius_m == 0.0:
+        return _pairs(pose, np.empty((0, 2), np.int64))
+    tree, along = cKDTree(pose[:, :2]), arc_length_m(pose[:, :2])
+    gap, near = tree.query(pose[:, :2], k=min(32, len(pose)), distance_upper_bound=radius_m)
+    first = np.repeat(np.arange(len(pose)), near.shape[1]).reshape(near.shape)
+    reached = np.isfinite(gap)
+    i, j, d = first[reached], near[reached], gap[reached]
+    other = np.abs(along[i] - along[j]) > APART_M
+    i, j, d = i[other], j[other], d[other]
+    order = np.lexsort((j, d, i))
+    i, j = i[order], j[order]
+    rank = np.arange(len(i)) - np.concatenate([[0], np.cumsum(np.bincount(i, minlength=len(pose)))])[i]
+    pairs = np.sort(np.column_stack([i, j])[rank < MAX_PER_POSE], axis=1)
+    return _pairs(pose, np.unique(pairs, axis=0).reshape(-1, 2))
+
+
+def _pairs(pose: Floats, pairs: Ints) -> Relative:
+    first, second = pairs[:, 0].astype(np.int64), pairs[:, 1].astype(np.int64)
+    return Relative(first, second, between(pose[first], pose[second]))

@@ -1,0 +1,107 @@
+"""The drive for the report: GNSS, SLAM before and after, control points, the sheet, and how far they lie apart."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from flexmap_tasks.geometry.polyline import arc_length_m, nearest_on_polyline
+from flexmap_tasks.geometry.sheet import affine_maps
+from flexmap_tasks.model.alignment import ControlPoints, RigidMotion, Warp
+from flexmap_tasks.model.arrays import Bools, Floats, Ints
+from flexmap_tasks.model.tracks import GnssTrack, Trajectory
+from flexmap_tasks.report.embed import Json, Texts, millimetres, numbers
+
+MOST_ROWS = 40_000
+"""A longer track is drawn by every second, third, ... row, so that the page stays small."""
+
+TIE_M = 1e-6
+
+
+def gnss_of(gnss: GnssTrack) -> Json:
+    """Fixes by row: place, horizontal sigma, status, and whether the step to it was observed."""
+    rows = _thinned(len(gnss))
+    sigma = np.hypot(gnss.sigma_m[:, 0], gnss.sigma_m[:, 1])[rows]
+    return {
+        "xy": millimetres(gnss.xyz_m[rows]),
+        "sigma": numbers(np.where(np.isfinite(sigma), sigma, -1.0), "f4"),
+        "status": numbers(gnss.status[rows], "i4"),
+        "observed": numbers(_kept_breaks(gnss.observed, rows), "u1"),
+        "count": len(gnss),
+    }
+
+
+def slam_of(slam: Trajectory, gnss: GnssTrack, warp: Warp) -> Json:
+    """Poses by row: after the rigid start, after the warp, metres driven, and both distances to the GNSS line."""
+    rows = _thinned(len(slam))
+    before = warp.motion.apply_xy(slam.xyz_m[:, :2])
+    after = warp.apply(slam.xyz_m)[:, :2]
+    distance, valid = deviation(after[rows], gnss)
+    return {
+        "before": millimetres(before[rows]),
+        "after": millimetres(after[rows]),
+        "driven": numbers(arc_length_m(after)[rows] if len(after) else np.zeros(0), "f4"),
+        "deviation_before": numbers(_known(deviation(before[rows], gnss)[0]), "f4"),
+        "deviation_after": numbers(_known(distance), "f4"),
+        "valid": numbers(valid, "u1"),
+        "count": len(slam),
+    }
+
+
+def points_of(points: ControlPoints | None, warp: Warp, texts: Texts) -> Json | None:
+    """Control points: where the rigid start leaves them, where they belong, and where the warp puts them."""
+    if points is None:
+        return None
+    still = RigidMotion(np.eye(2), np.zeros(2), 1.0, 1.0, 0.0)
+    start = np.column_stack([points.source_xy_m, np.zeros(len(points))])
+    return {
+        "label": texts.column(points.label),
+        "source": millimetres(points.source_xy_m),
+        "target": millimetres(points.target_xy_m),
+        "moved": millimetres(Warp(still, warp.sheet).apply(start) if len(points) else start),
+        "sigma": numbers(points.sigma_m, "f4"),
+        "used": numbers(points.used, "u1"),
+        "reason": texts.column(points.reason),
+    }
+
+
+def sheet_of(warp: Warp) -> Json | None:
+    """Triangles before and after, and the largest stretch of each beside 1."""
+    sheet = warp.sheet
+    if sheet is None or not len(sheet.triangles):
+        return None
+    maps = affine_maps(sheet.source_xy_m[sheet.triangles], sheet.target_xy_m[sheet.triangles])
+    stretch = np.linalg.svd(maps[:, :, :2], compute_uv=False)
+    worst = np.where(np.abs(stretch[:, 0] - 1) > np.abs(stretch[:, 1] - 1), stretch[:, 0], stretch[:, 1])
+    return {
+        "source": millimetres(sheet.source_xy_m),
+        "target": millimetres(sheet.target_xy_m),
+        "triangles": numbers(sheet.triangles, "i4"),
+        "stretch": numbers(worst, "f4"),
+    }
+
+
+def _thinned(count: int) -> Ints:
+    return np.arange(0, count, max(1, -(-count // MOST_ROWS)), dtype=np.int64)
+
+
+def _kept_breaks(observed: Bools, rows: Ints) -> Bools:
+    """A row is observed when every step since the row before it was."""
+    if not len(rows):
+        return observed[rows]
+    broken = np.concatenate([[0], np.cumsum(~observed)])
+    since = np.concatenate([rows[:1], rows[:-1] + 1])
+    whole: Bools = broken[rows + 1] == broken[since]
+    return whole
+
+
+def deviation(poses_m: Floats, gnss: GnssTrack) -> tuple[Floats, Bools]:
+    """Distance to the line through all fixes, and whether the nearest step of the line was observed."""
+    line, observed = gnss.xyz_m[:, :2], gnss.observed[1:]
+    distance = nearest_on_polyline(poses_m, line).distance_m
+    if observed.all():
+        return distance, np.isfinite(distance)
+    return distance, nearest_on_polyline(poses_m, line, observed).distance_m <= distance + TIE_M
+
+
+def _known(values: Floats) -> Floats:
+    return np.where(np.isfinite(values), values, -1.0)

@@ -1,0 +1,59 @@
+"""The page with its data inside, under a policy that lets nothing else run."""
+
+from __future__ import annotations
+
+import base64
+import html
+import re
+
+from flexmap_tasks.report import page as parts
+from flexmap_tasks.report.embed import Json, script_json
+from flexmap_tasks.store.artifact import digest_of
+
+LICENCES = ("NOTICE", "LICENSE.leaflet", "LICENSE.uplot")
+_SLOT = re.compile(r"<!--slot:([a-z]+)-->")
+_SOURCE_MAP = re.compile(r"^//# sourceMappingURL=.*$", re.MULTILINE)
+
+
+def page(title: str, data: Json) -> bytes:
+    """The whole file, the same for the same data.
+
+    The policy allows exactly the scripts and styles that stand in it, and no connection at all.
+    """
+    scripts = [_library("leaflet.js"), _library("uplot.js"), _own_script()]
+    styles = [_library("leaflet.css"), _library("uplot.css"), parts.text("report.css")]
+    filled = {
+        "policy": html.escape(_policy(scripts, styles)),
+        "title": html.escape(title),
+        "styles": "\n".join(f"<style>{style}</style>" for style in styles),
+        "data": script_json(data),
+        "scripts": "\n".join(f"<script>{script}</script>" for script in scripts),
+        "libraries": html.escape("\n".join(map(parts.vendored, LICENCES))),
+    }
+    return _SLOT.sub(lambda slot: filled[slot[1]], parts.text("report.html")).encode()
+
+
+def _own_script() -> str:
+    body = "\n".join(parts.text(name) for name in parts.SCRIPTS)
+    return f'(() => {{\n"use strict";\n{body}\n}})();\n'
+
+
+def _library(name: str) -> str:
+    return _SOURCE_MAP.sub("", parts.vendored(name))
+
+
+def _policy(scripts: list[str], styles: list[str]) -> str:
+    rules = {
+        "default-src": "'none'",
+        "script-src": " ".join(map(_hash, scripts)),
+        "style-src": " ".join(map(_hash, styles)),
+        "img-src": "data: blob:",
+        "base-uri": "'none'",
+        "form-action": "'none'",
+    }
+    return "; ".join(f"{name} {value}" for name, value in rules.items())
+
+
+def _hash(text: str) -> str:
+    digest = base64.b64encode(bytes.fromhex(digest_of(text.encode())))
+    return f"'sha256-{digest.decode()}'"

@@ -1,0 +1,111 @@
+"""What a fleet's files ask for: one job per map (or per drive of a map), with its settings."""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from flexmap_tasks.config import FlexMapConfig
+from flexmap_tasks.errors import FlexMapError, InputError
+from flexmap_tasks.fleet_config import FleetConfig, FleetMap, Recordings
+from flexmap_tasks.formats.config_file import load_config
+from flexmap_tasks.store.store import Store
+
+
+@dataclass(frozen=True, slots=True)
+class Job:
+    """One map to keep up to date.
+
+    map : name of the release line; recording : name of its file, "" when the config names the files
+    config : None when there is none; fault : why there is none; on_its_way : recordings still being written
+    """
+
+    map: str
+    entry: FleetMap
+    recording: str = ""
+    config: FlexMapConfig | None = None
+    fault: str = ""
+    on_its_way: int = 0
+
+
+def load_fleet(file: Path) -> FleetConfig:
+    """The fleet in a file; paths relative to it. Raises ConfigError."""
+    fleet = load_config(FleetConfig, file)
+    if "://" in fleet.store:
+        return fleet
+    store = str((file.parent / Path(fleet.store).expanduser()).resolve())
+    return fleet.model_copy(update={"store": store})
+
+
+def open_store(fleet: FleetConfig) -> Store:
+    """The fleet's store."""
+    return Store.open(fleet.store, fleet.releases)
+
+
+def find_jobs(fleet: FleetConfig, now_s: float | None = None) -> list[Job]:
+    """All jobs in the order of the file; a map whose files are at fault becomes a job with that fault."""
+    now = time.time() if now_s is None else now_s
+    return [job for entry in fleet.maps for job in _jobs(fleet, entry, now)]
+
+
+def _jobs(fleet: FleetConfig, entry: FleetMap, now_s: float) -> Iterator[Job]:
+    if entry.recordings is None:
+        yield _job(fleet, entry, entry.name, None, 0)
+        return
+    try:
+        settled, moving = find_recordings(entry.recordings, now_s)
+    except InputError as error:
+        yield Job(entry.name, entry, fault=str(error))
+        return
+    if not settled:
+        yield Job(entry.name, entry, on_its_way=moving)
+    elif entry.recordings.take == "newest":
+        yield _job(fleet, entry, entry.name, settled[-1], moving)
+    else:
+        for file in settled:
+            yield _job(fleet, entry, f"{entry.name}.{_label(entry.recordings.folder, file)}", file, moving)
+
+
+def find_recordings(recordings: Recordings, now_s: float) -> tuple[list[Path], int]:
+    """Recordings that are complete, the newest last, and how many are still on their way. Raises InputError."""
+    if not recordings.folder.is_dir():
+        raise InputError(str(recordings.folder), "no such folder; recordings of a fleet's map arrive there")
+    try:
+        stats = [(file, file.stat()) for file in recordings.folder.glob(recordings.pattern) if file.is_file()]
+    except (OSError, ValueError, NotImplementedError) as error:
+        raise InputError(
+            str(recordings.folder), f"cannot be searched for {recordings.pattern} ({error})"
+        ) from error
+    settled = [(file, stat) for file, stat in stats if stat.st_mtime <= now_s - recordings.settle_s]
+    by_time = recordings.order == "time"
+    settled.sort(key=lambda found: (found[1].st_mtime_ns if by_time else 0, str(found[0])))
+    return [file for file, _ in settled], len(stats) - len(settled)
+
+
+def _job(fleet: FleetConfig, entry: FleetMap, name: str, recording: Path | None, moving: int) -> Job:
+    values: dict[str, Any] = {**fleet.parameters, **entry.parameters, "map": name}
+    if entry.osm is not None:
+        values["osm"] = entry.osm.model_dump(mode="json", exclude_unset=True)
+    if recording is not None and entry.recordings is not None:
+        values |= dict.fromkeys(entry.recordings.inputs, str(recording))
+    label = recording.name if recording is not None else ""
+    try:
+        config = load_config(FlexMapConfig, entry.config, overrides(values))
+    except FlexMapError as error:
+        return Job(name, entry, label, fault=str(error), on_its_way=moving)
+    return Job(name, entry, label, config, on_its_way=moving)
+
+
+def overrides(values: Mapping[str, Any]) -> list[str]:
+    """Settings as `--set` takes them."""
+    return [f"{key}={json.dumps(value)}" for key, value in values.items()]
+
+
+def _label(folder: Path, file: Path) -> str:
+    """A recording's part of a map's name: its path below the folder without suffix, in plain characters."""
+    text = file.relative_to(folder).with_suffix("").as_posix()
+    return "".join(c if c.isalnum() and c.isascii() else "-" for c in text)[:60]

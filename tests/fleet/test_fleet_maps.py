@@ -1,0 +1,160 @@
+"""Finding recordings, planning maps, running them as processes: a fleet without Prefect."""
+
+from __future__ import annotations
+
+import json
+import os
+import time
+from pathlib import Path
+
+import pytest
+import yaml
+from fleet_town import break_log, drive_again, write_fleet
+from prometheus_client.openmetrics.parser import text_string_to_metric_families
+
+from flexmap_tasks.errors import ConfigError, InputError
+from flexmap_tasks.fleet_config import FleetConfig, Recordings
+from flows import fleet_commands
+from flows.fleet_jobs import find_jobs, find_recordings, load_fleet, open_store
+from flows.fleet_plan import Row, Todo, plan_fleet
+
+
+@pytest.fixture(scope="module")
+def fleet_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Three towns, the last with a log that ends too early."""
+    root = tmp_path_factory.mktemp("fleet")
+    file = write_fleet(root, 3)
+    break_log(root / "town02")
+    settle(root)
+    return file
+
+
+def settle(root: Path) -> None:
+    """Let all files be old enough to trust their stamps."""
+    old = time.time() - 60
+    for path in root.rglob("*"):
+        if path.is_file():
+            os.utime(path, (old, old))
+    time.sleep(2.1)  # nobody can set back the time of last change
+
+
+def states(rows: list[Row]) -> dict[str, str]:
+    return {row.map: row.state for row in rows}
+
+
+def update(file: Path) -> list[Row]:
+    return fleet_commands._update_here(file)
+
+
+def test_nights_without_prefect(fleet_file: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    root = fleet_file.parent
+    first = update(fleet_file)
+    assert states(first) == {"town00": "published", "town01": "published", "town02": "failed"}
+    assert "night1.mcap" in first[2].reason
+    assert all(row.seconds > 0 for row in first[:2])
+
+    drive_again(root / "town01", 2, night=2)
+    settle(root)
+    second = update(fleet_file)
+    assert states(second) == {"town00": "unchanged", "town01": "published", "town02": "failed"}
+    assert second[1].recording == "night2.mcap"
+    assert second[1].saved_s > 0, "map and roads did not change, so their stages were not run again"
+    assert second[1].release != first[1].release
+
+    fleet = load_fleet(fleet_file)
+    rows, todo = plan_fleet(open_store(fleet), find_jobs(fleet))
+    assert todo == []
+    assert states(rows) == {"town00": "unchanged", "town01": "unchanged", "town02": "failed"}
+    assert "not tried again" in rows[2].reason
+
+    capsys.readouterr()
+    fleet_commands.status(fleet_file, as_json=True)
+    status = {row["map"]: row for row in json.loads(capsys.readouterr().out)}
+    assert status["town01"]["release"] == second[1].release
+    assert status["town01"]["match_rate_by_length"] > 0.5
+    assert (status["town02"]["release"], status["town02"]["next"]) == (None, "failed")
+
+    text = (root / "store" / "metrics" / "town01.prom").read_text()
+    families = {f.name: f for f in text_string_to_metric_families(text)}
+    assert {s.labels["state"]: s.value for s in families["flexmap_release"].samples}["published"] == 1
+    cached = {s.labels["stage"]: s.value for s in families["flexmap_stage_cached"].samples}
+    assert (cached["ingest_lanelet_map"], cached["ingest_gnss"]) == (1, 0)
+    assert all(s.value > 0 for s in families["flexmap_stage_output_bytes"].samples)
+
+
+def test_a_fleet_says_what_is_wrong_with_one_map_and_goes_on(tmp_path: Path) -> None:
+    file = write_fleet(tmp_path, 2)
+    data = yaml.safe_load(file.read_text())
+    data["maps"][0]["parameters"] = {"alignment.method": "magic"}
+    data["maps"].append({"name": "nowhere", "config": "town01/map.yaml", "recordings": {"folder": "absent"}})
+    data["maps"].append({"name": "empty", "config": "town01/map.yaml",
+                         "recordings": {"folder": "town01/recordings", "pattern": "*.bag"}})  # fmt: skip
+    file.write_text(yaml.safe_dump(data))
+    fleet = load_fleet(file)
+    rows, todo = plan_fleet(open_store(fleet), find_jobs(fleet))
+    assert states(rows) == {"town00": "failed", "nowhere": "failed", "empty": "waiting"}
+    assert "alignment.method" in rows[0].reason
+    assert [item.job.map for item in todo] == ["town01"]
+    assert "has not run" in todo[0].why
+
+
+def test_every_drive_can_be_a_map_of_its_own(tmp_path: Path) -> None:
+    file = write_fleet(tmp_path, 1)
+    drive_again(tmp_path / "town00", 1, night=2)
+    data = yaml.safe_load(file.read_text())
+    data["maps"][0]["recordings"]["take"] = "all"
+    file.write_text(yaml.safe_dump(data))
+    jobs = find_jobs(load_fleet(file))
+    assert [job.map for job in jobs] == ["town00.night1", "town00.night2"]
+    assert [job.config.gnss.file.name for job in jobs if job.config] == ["night1.mcap", "night2.mcap"]
+
+
+def test_recordings_wait_until_they_are_complete(tmp_path: Path) -> None:
+    now = time.time()
+    for name, age in (("b.mcap", 300), ("a.mcap", 100), ("c.mcap", 1), ("d.txt", 100)):
+        (tmp_path / name).touch()
+        os.utime(tmp_path / name, (now - age, now - age))
+    by_time = Recordings(folder=tmp_path)
+    files, moving = find_recordings(by_time, now)
+    assert ([f.name for f in files], moving) == (["b.mcap", "a.mcap"], 1)
+    files, _ = find_recordings(by_time.model_copy(update={"order": "name"}), now)
+    assert [f.name for f in files] == ["a.mcap", "b.mcap"]
+    with pytest.raises(InputError, match="cannot be searched"):
+        find_recordings(by_time.model_copy(update={"pattern": "/etc/*"}), now)
+
+
+def test_a_run_that_takes_too_long_is_ended(tmp_path: Path) -> None:
+    file = write_fleet(tmp_path, 2, timeout_s=0.05)
+    assert states(update(file)) == {"town00": "timed out", "town01": "timed out"}
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"maps": []}, "maps"),
+        ({"maps": [{"name": "a", "config": "a"}] * 2}, "stands twice"),
+        ({"schedule": {"cron": "0 2 * * *", "interval_s": 60}}, "either"),
+        ({"runs_at_once": 0}, "runs_at_once"),
+        ({"colour": "red"}, "unknown key"),
+    ],
+)
+def test_a_fleet_file_with_a_mistake_is_one_clear_line(
+    tmp_path: Path, change: dict[str, object], words: str
+) -> None:
+    file = tmp_path / "fleet.yaml"
+    file.write_text(yaml.safe_dump({"maps": [{"name": "a", "config": "a.yaml"}], **change}))
+    with pytest.raises(ConfigError, match=words):
+        load_fleet(file)
+
+
+def test_the_example_is_a_fleet() -> None:
+    fleet = load_fleet(Path(__file__).resolve().parents[2] / "configs" / "fleet.yaml")
+    assert isinstance(fleet, FleetConfig)
+    assert fleet.work_pool is not None
+
+
+def test_a_job_has_something_to_do_until_it_was_done(tmp_path: Path) -> None:
+    fleet = load_fleet(write_fleet(tmp_path, 1))
+    _, todo = plan_fleet(open_store(fleet), find_jobs(fleet))
+    assert isinstance(todo[0], Todo)
+    assert todo[0].job.recording == "night1.mcap"
