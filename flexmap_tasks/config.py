@@ -258,7 +258,7 @@ class PathParams(Params):
     )
     minor_cost: NonNegative = Field(0.5, description="misfit for service roads for few, and private roads")
     rounds: Annotated[int, Field(ge=1, le=10)] = Field(3, description="estimates of displacement and scatter")
-    review_confidence: Share = Field(0.95, description="a less certain match goes to review")
+    review_confidence: Share = Field(0.7, description="a less certain match goes to review")
 
 
 class MatchParams(Params):

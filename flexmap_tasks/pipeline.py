@@ -74,7 +74,10 @@ class Cloud:
 
 @dataclass(frozen=True, slots=True)
 class Drawn:
-    """What the report and the layers show; `recorded` is the map as it was read, `lanelets` where georeferencing put it."""
+    """What the report and the layers show.
+
+    recorded : the map as it was read; lanelets : where georeferencing put it
+    """
 
     recorded: Ref | None
     lanelets: Ref | None

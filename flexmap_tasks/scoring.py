@@ -32,6 +32,8 @@ from flexmap_tasks.model.maps import LaneletMap, PlacedRoads, RoadNetwork
 from flexmap_tasks.model.osm import rows_of
 from flexmap_tasks.model.source import Source
 from flexmap_tasks.pipeline import map_update
+from flexmap_tasks.report.exports import export_layers
+from flexmap_tasks.report.report import report
 from flexmap_tasks.simulate.world import World
 from flexmap_tasks.simulate.write import write_world
 from flexmap_tasks.store.store import Store
@@ -63,6 +65,7 @@ def score_world(params: ScoreParams) -> dict[str, bytes]:
         write_world(params.world, town)
         config = world_config(params.world, town, params.settings)
         store, graph = Store.open(Path(folder) / "store"), map_update(config)
+        graph.leave_out(report, export_layers)  # for people; scores need neither
         outcomes = run_local(store, graph)
         artifacts = {name: o.artifact for name, o in outcomes.items()}
         actions = {name: o.key for name, o in outcomes.items()}

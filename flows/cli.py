@@ -16,6 +16,7 @@ from rich.console import Console
 
 from flexmap_tasks.errors import FlexMapError
 from flows import cli_fleet, commands
+from flows.editor import command as edit_command
 from flows.store_commands import STORE, Releases, StoreUrl, add_store_commands
 from flows.world_commands import add_world_commands
 
@@ -99,6 +100,7 @@ def demo(*, store: StoreUrl = STORE, prefect: bool = True) -> None:
 
 
 add_store_commands(app)
+edit_command.add_to(app)
 
 
 def main() -> None:

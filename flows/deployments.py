@@ -8,10 +8,10 @@ from typing import Any
 
 from prefect.client.orchestration import PrefectClient, get_client
 from prefect.client.schemas.actions import WorkPoolCreate
-from prefect.client.schemas.objects import ConcurrencyLimitConfig, StateType
+from prefect.client.schemas.objects import ConcurrencyLimitConfig
 from prefect.deployments.runner import RunnerDeployment
 from prefect.events import Event
-from prefect.events.actions import ActionTypes, ChangeFlowRunState, DoNothing, RunDeployment, SendNotification
+from prefect.events.actions import ActionTypes, DoNothing, RunDeployment, SendNotification
 from prefect.events.schemas.automations import AutomationCore, EventTrigger, Posture
 from prefect.events.schemas.events import Resource
 from prefect.exceptions import ObjectAlreadyExists, ObjectNotFound
@@ -22,12 +22,11 @@ from prefect.workers.utilities import get_default_base_job_template_for_infrastr
 from flexmap_tasks.errors import ConfigError
 from flexmap_tasks.fleet_config import FleetConfig, WorkPool
 from flows.fleet_jobs import Job, find_jobs, load_fleet
-from flows.fleet_pool import HEARTBEAT_S, SILENT_S
+from flows.fleet_pool import HEARTBEAT_S
 from flows.fleet_update import fleet_update
 from flows.map_update import map_update
 
 RECORDINGS_ARRIVED = "flexmap.recordings.arrived"
-TERMINAL = ("Completed", "Held", "Attention", "Rejected", "Failed", "TimedOut", "Cancelled", "Crashed")
 NOTEWORTHY = ("Held", "Rejected", "Failed", "TimedOut", "Crashed")
 
 
@@ -155,20 +154,6 @@ async def _automations(client: PrefectClient, fleet: FleetConfig, update: str) -
                 posture=Posture.Reactive,
             ),
             actions=[note],
-        ),
-        AutomationCore(
-            name=f"{fleet.name}: run is gone",
-            description="A run without heartbeats has lost its worker: it counts as crashed and is started again.",
-            trigger=EventTrigger(
-                after={"prefect.flow-run.Running", "prefect.flow-run.heartbeat"},
-                expect={"prefect.flow-run.heartbeat", *(f"prefect.flow-run.{state}" for state in TERMINAL)},
-                match={"prefect.resource.id": "prefect.flow-run.*"},
-                match_related=ours,
-                for_each={"prefect.resource.id"},
-                posture=Posture.Proactive,
-                within=timedelta(seconds=SILENT_S + HEARTBEAT_S),
-            ),
-            actions=[ChangeFlowRunState(state=StateType.CRASHED, message="no heartbeat: its worker is gone")],
         ),
     ]
 

@@ -50,7 +50,7 @@ def _update_here(file: Path) -> list[Row]:
     fleet = load_fleet(file)
     store = open_store(fleet)
     store.check_writable()
-    rows, todo = plan_fleet(store, find_jobs(fleet))
+    rows, todo = plan_fleet(store, fleet)
     for item in todo:
         console.say(f"{item.job.map}: {item.why}")
     rows += asyncio.run(
@@ -156,14 +156,21 @@ def notify(file: Path, maps: Sequence[str]) -> None:
 
 
 def watch(file: Path, every_s: float) -> None:
-    """Look for recordings for ever, and tell the server when some are complete that were not before."""
+    """Look for ever for recordings that have become complete, and for runs that have lost their worker.
+
+    In both cases the server is told, and starts an update.
+    """
+    prepare_prefect()
+    from flows.fleet_pool import end_lost_runs  # noqa: PLC0415 - importing Prefect takes seconds
+
     known = arrived(load_fleet(file))
     console.say(f"watching {sum(len(files) for files in known.values())} recordings of {len(known)} maps")
     while True:
         time.sleep(every_s)
-        found = arrived(load_fleet(file))
+        fleet = load_fleet(file)
+        found = arrived(fleet)
         new = [name for name, files in found.items() if files - known.get(name, frozenset())]
-        if new:
+        if asyncio.run(end_lost_runs(fleet, None)) or new:
             notify(file, new)
         known = found
 

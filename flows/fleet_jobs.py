@@ -49,10 +49,11 @@ def open_store(fleet: FleetConfig) -> Store:
 def find_jobs(fleet: FleetConfig, now_s: float | None = None) -> list[Job]:
     """All jobs in the order of the file; a map whose files are at fault becomes a job with that fault."""
     now = time.time() if now_s is None else now_s
-    return [job for entry in fleet.maps for job in _jobs(fleet, entry, now)]
+    return [job for entry in fleet.maps for job in jobs_of(fleet, entry, now)]
 
 
-def _jobs(fleet: FleetConfig, entry: FleetMap, now_s: float) -> Iterator[Job]:
+def jobs_of(fleet: FleetConfig, entry: FleetMap, now_s: float) -> Iterator[Job]:
+    """The jobs of one map: one, or one per drive."""
     if entry.recordings is None:
         yield _job(fleet, entry, entry.name, None, 0)
         return

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+import time
 from dataclasses import asdict, dataclass
 from datetime import datetime
 from typing import Any
@@ -14,11 +14,16 @@ from flexmap_tasks.engine.local import heal, run_local
 from flexmap_tasks.engine.plan import Plan, make_plan
 from flexmap_tasks.engine.runs import read_last_run, read_runs
 from flexmap_tasks.errors import FlexMapError
+from flexmap_tasks.fleet_config import FleetConfig
 from flexmap_tasks.pipeline import map_update
 from flexmap_tasks.store.store import Store
 from flows.failures import known_failure
 from flows.finish import finish_run
-from flows.fleet_jobs import Job
+from flows.fleet_index import Index, Settled, made_with
+from flows.fleet_jobs import Job, jobs_of
+
+NOT_AGAIN = "(unchanged since, not tried again)"
+"""Ends the reason of a failure that will be the same as long as its files are."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,17 +56,49 @@ class Todo:
     why: str
 
 
-def plan_fleet(store: Store, jobs: Iterable[Job]) -> tuple[list[Row], list[Todo]]:
+def plan_fleet(store: Store, fleet: FleetConfig) -> tuple[list[Row], list[Todo]]:
     """What is settled already, and what has to run."""
     rows: list[Row] = []
     todo: list[Todo] = []
-    for job in jobs:
-        try:
-            found = plan_job(store, job)
-        except FlexMapError as error:
-            found = Row(job.map, "failed", reason=str(error), recording=job.recording)
-        (todo if isinstance(found, Todo) else rows).append(found)  # type: ignore[arg-type]
+    index = Index(store, fleet, made_with())
+    new: dict[str, Settled] = {}
+    for entry in fleet.maps:
+        known = index.row(entry)
+        if known is not None:
+            rows.append(Row(**known))
+            continue
+        jobs = list(jobs_of(fleet, entry, time.time()))
+        for job in jobs:
+            found = _plan_or_say_why_not(store, job)
+            if isinstance(found, Todo):
+                todo.append(found)
+                continue
+            rows.append(found)
+            stays = found.state != "failed" or found.reason.endswith(NOT_AGAIN)
+            if stays and len(jobs) == 1 and job.config is not None and job.map == entry.name:
+                watched = watch(map_update(job.config))
+                line = index.line(entry, watched, _expires(store, job), found.to_json())
+                new |= {entry.name: line} if line is not None else {}
+    index.write(fleet.maps, new)
     return rows, todo
+
+
+def _plan_or_say_why_not(store: Store, job: Job) -> Row | Todo:
+    try:
+        return plan_job(store, job)
+    except FlexMapError as error:
+        return Row(job.map, "failed", reason=str(error), recording=job.recording)
+
+
+def _expires(store: Store, job: Job) -> float | None:
+    """When what was fetched from a server gets too old, seconds since 1970; at once when it is not known."""
+    if job.config is None or job.config.osm is None or job.config.osm.fetch is None:
+        return None
+    key = read_last_run(store, job.map).get("fetch_osm")
+    record = store.peek(key) if key else None
+    if record is None:
+        return 0.0
+    return datetime.fromisoformat(record.started).timestamp() + 86_400 * job.config.osm.fetch.max_age_days
 
 
 def plan_job(store: Store, job: Job, *, publish: bool = True) -> Row | Todo:
@@ -78,9 +115,7 @@ def plan_job(store: Store, job: Job, *, publish: bool = True) -> Row | Todo:
     watched = watch(graph)
     known = known_failure(store, config, watched)
     if known is not None:
-        return Row(
-            job.map, "failed", reason=f"{known} (unchanged since, not tried again)", recording=job.recording
-        )
+        return Row(job.map, "failed", reason=f"{known} {NOT_AGAIN}", recording=job.recording)
     plan = make_plan(Engine(store), graph, read_last_run(store, job.map))
     if not plan.all_cached or not publish:
         return Todo(job, why(plan))

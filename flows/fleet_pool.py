@@ -12,8 +12,14 @@ from uuid import UUID
 
 import httpx
 from prefect.client.orchestration import PrefectClient, get_client
-from prefect.client.schemas.filters import FlowRunFilter, FlowRunFilterId
-from prefect.client.schemas.objects import FlowRun
+from prefect.client.schemas.filters import (
+    FlowRunFilter,
+    FlowRunFilterId,
+    FlowRunFilterState,
+    FlowRunFilterStateType,
+    FlowRunFilterTags,
+)
+from prefect.client.schemas.objects import FlowRun, StateType
 from prefect.deployments import arun_deployment
 from prefect.exceptions import ObjectNotFound, PrefectHTTPStatusError
 from prefect.states import Cancelled, Cancelling, Crashed
@@ -120,21 +126,8 @@ class Pool:
         if (now - self._listened).total_seconds() < HEARTBEAT_S:
             return
         self._listened = now
-        ids = {f"prefect.flow-run.{run_id}": started for run_id, started in self._running.items()}
-        for some in batched(list(ids), LISTEN_TO):
-            wanted = {
-                "event": {"name": ["prefect.flow-run.heartbeat"]},
-                "resource": {"id": some},
-                "occurred": {"since": (now - timedelta(seconds=SILENT_S)).isoformat()},
-            }
-            try:
-                answer = await self._client.request(
-                    "POST", "/events/filter", json={"filter": wanted, "limit": 50}
-                )
-            except (httpx.TransportError, PrefectHTTPStatusError):
-                continue
-            for event in answer.json()["events"]:
-                ids[event["resource"]["prefect.resource.id"]].heard = now
+        for run_id in await heard_of(self._client, list(self._running)):
+            self._running[run_id].heard = now
 
     async def _follow(self, run: FlowRun) -> tuple[Job, int] | None:
         """Take note of a run's state; the job again when it has to be started anew."""
@@ -148,7 +141,7 @@ class Pool:
         if state.is_running():
             started.begun = started.begun or now
             if (now - (started.heard or started.begun)).total_seconds() > SILENT_S:
-                await self._client.set_flow_run_state(run.id, Crashed(message=GONE), force=True)
+                await self._client.set_flow_run_state(run.id, Crashed(message=GONE))
                 return None
         limit = started.job.entry.timeout_s or self._fleet.timeout_s
         if started.begun is not None and (now - started.begun).total_seconds() > limit:
@@ -157,7 +150,7 @@ class Pool:
             self._end(started.job, "timed out", f"took longer than {limit:g} s", run)
         elif state.is_pending() and (now - state.timestamp).total_seconds() > self._fleet.start_timeout_s:
             # its worker is gone: nothing else would ever move this run
-            await self._client.set_flow_run_state(run.id, Crashed(message=GONE), force=True)
+            await self._client.set_flow_run_state(run.id, Crashed(message=GONE))
         return None
 
     def _final(self, run: FlowRun, started: Started) -> tuple[Job, int] | None:
@@ -191,6 +184,43 @@ class Pool:
     def _note(self, row: Row) -> None:
         self._rows.append(row)
         self._done(row)
+
+
+async def heard_of(client: PrefectClient, runs: Sequence[UUID]) -> set[UUID]:
+    """Those runs that gave a sign of life lately; all of them when the server does not answer."""
+    since = datetime.now(UTC) - timedelta(seconds=SILENT_S)
+    found: set[UUID] = set()
+    for some in batched(runs, LISTEN_TO):
+        wanted = {
+            "event": {"name": ["prefect.flow-run.heartbeat", "prefect.flow-run.Running"]},
+            "resource": {"id": [f"prefect.flow-run.{run}" for run in some]},
+            "occurred": {"since": since.isoformat()},
+        }
+        try:
+            answer = await client.request("POST", "/events/filter", json={"filter": wanted, "limit": 50})
+        except (httpx.TransportError, PrefectHTTPStatusError):
+            found.update(some)
+            continue
+        found.update(
+            UUID(e["resource"]["prefect.resource.id"].rpartition(".")[2]) for e in answer.json()["events"]
+        )
+    return found
+
+
+async def end_lost_runs(fleet: FleetConfig, but: UUID | None) -> int:
+    """Runs of this fleet whose worker has gone count as crashed, so that nothing waits for them; their number."""
+    async with get_client() as client:
+        ours = FlowRunFilter(
+            tags=FlowRunFilterTags(all_=[f"fleet:{fleet.name}"]),
+            state=FlowRunFilterState(type=FlowRunFilterStateType(any_=[StateType.RUNNING])),
+        )
+        running = await client.read_flow_runs(flow_run_filter=ours, limit=ASK_AT_ONCE)
+        old = datetime.now(UTC) - timedelta(seconds=SILENT_S)
+        ids = [run.id for run in running if run.id != but and (run.start_time or old) <= old]
+        lost = set(ids) - await heard_of(client, ids)
+        for run_id in sorted(lost):
+            await client.set_flow_run_state(run_id, Crashed(message=GONE))
+    return len(lost)
 
 
 def batched(items: Sequence[T], size: int) -> Iterator[list[T]]:

@@ -7,6 +7,7 @@ from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
+from uuid import UUID
 
 from prefect import flow, get_run_logger
 from prefect.artifacts import acreate_markdown_artifact, acreate_table_artifact
@@ -18,9 +19,9 @@ from prefect.states import Completed, Failed
 from flexmap_tasks.errors import FlexMapError
 from flexmap_tasks.fleet_config import FleetConfig
 from flows.dashboard import artifact_key, name_run
-from flows.fleet_jobs import find_jobs, load_fleet, open_store
+from flows.fleet_jobs import load_fleet, open_store
 from flows.fleet_plan import Row, Todo, plan_fleet
-from flows.fleet_pool import run_on_pool
+from flows.fleet_pool import end_lost_runs, run_on_pool
 from flows.fleet_processes import run_processes
 
 GOOD = ("published", "unchanged", "waiting")
@@ -37,7 +38,7 @@ async def fleet_update(fleet: str) -> State[Any]:
     except FlexMapError as error:
         return Failed(message=str(error), data=error)
     store = open_store(config)
-    rows, todo = await asyncio.to_thread(lambda: plan_fleet(store, find_jobs(config)))
+    rows, todo = await asyncio.to_thread(lambda: plan_fleet(store, config))
     log = get_run_logger()
     log.info("%s: %d maps, %d have something to do", config.name, len(rows) + len(todo), len(todo))
     for item in todo:
@@ -60,6 +61,10 @@ async def _run(config: FleetConfig, todo: Sequence[Todo]) -> list[Row]:
         level("%s: %s %s %s", row.map, row.state, row.release, row.reason)
 
     if config.work_pool is not None:
+        run_id = flow_run.get_id()
+        lost = await end_lost_runs(config, UUID(run_id) if run_id else None)
+        if lost:
+            log.warning("%d runs of earlier updates had lost their worker", lost)
         return await run_on_pool(config, todo, str(flow_run.get_id()), done)
     async with get_client() as client:
         return await run_processes(config, todo, done, api_url=str(client.api_url))

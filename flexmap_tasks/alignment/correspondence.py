@@ -11,7 +11,7 @@ from flexmap_tasks.alignment.gnss_line import GnssLine
 from flexmap_tasks.geometry.graph2d import Fix, State
 from flexmap_tasks.geometry.rigid import PlanarFit, fit_planar_motion
 from flexmap_tasks.geometry.se2 import rotated, wrapped
-from flexmap_tasks.model.arrays import Floats, Ints
+from flexmap_tasks.model.arrays import Bools, Floats, Ints
 from flexmap_tasks.model.tracks import GnssTrack
 
 REACH_M = 15.0
@@ -52,7 +52,7 @@ def by_shape(state: State, line: GnssLine, along_m: Floats, sigma_m: Floats) -> 
     ends = (s > EDGE_M) & (s < line.along_m[-1] - EDGE_M)
     seen = line.seen_at(s) & line.seen_at(s - EDGE_M) & line.seen_at(s + EDGE_M)
     node = np.flatnonzero(seen & ends & (np.abs(along_gap) < 1.0))
-    row = np.clip(np.searchsorted(line.along_m, s[node]), 0, len(line.index) - 1)
+    row = np.clip(np.searchsorted(line.along_m, s[node]), 0, len(line.fix) - 1)
     zero = np.zeros((len(node), 2))
     fix = Fix(node, zero, zero[:, 0], zero, line.at(s[node]), heading[node] + np.pi / 2)
     return Correspondence(fix, row, sigma_m[row])
@@ -93,7 +93,7 @@ def by_time(state: State, drive: Drive, line: GnssLine, gnss_s: Floats, sigma_m:
     return Correspondence(fix, row, sigma_m[row])
 
 
-def covered(drive: Drive, at_s: Floats) -> Floats:
+def covered(drive: Drive, at_s: Floats) -> Bools:
     """(k,) whether SLAM poses surround a time closely."""
     stamp = _stamps(drive)
     k = np.searchsorted(stamp, at_s)
@@ -101,7 +101,7 @@ def covered(drive: Drive, at_s: Floats) -> Floats:
     k = np.clip(k, 1, len(stamp) - 1)
     far = np.maximum(stamp[k] - stamp[k - 1], 0.0)
     # SLAM that keeps one pose every few metres leaves longer lapses than this: then its own usual lapse counts
-    close: Floats = inside & (far <= max(MAX_GAP_S, 3.0 * float(np.median(np.diff(stamp)))))
+    close: Bools = inside & (far <= max(MAX_GAP_S, 3.0 * float(np.median(np.diff(stamp)))))
     return close
 
 
@@ -143,4 +143,7 @@ def _robust(source: Floats, target: Floats) -> tuple[PlanarFit, float]:
 
 def gnss_seconds(gnss: GnssTrack, line: GnssLine, first_ns: int) -> Floats | None:
     """(k,) times of the line's fixes in seconds since the first pose; None when the recording has no time."""
-    return None if gnss.stamp_ns is None else (gnss.stamp_ns[line.index] - first_ns) * 1e-9
+    if gnss.stamp_ns is None:
+        return None
+    seconds: Floats = 1e-9 * (gnss.stamp_ns[line.fix] - first_ns).astype(np.float64)
+    return seconds

@@ -25,11 +25,11 @@ MAX_SIGMA_M = 3.0
 class GnssLine(NamedTuple):
     """The fixes that were kept, as a line.
 
-    index : (k,) rows of the GnssTrack; xy_m : (k, 2); along_m : (k,) arc length
+    fix : (k,) rows of the GnssTrack; xy_m : (k, 2); along_m : (k,) arc length
     seen : (k,) whether the step to each fix was driven as drawn
     """
 
-    index: Ints
+    fix: Ints
     xy_m: Floats
     along_m: Floats
     seen: Bools

@@ -37,7 +37,9 @@ def lifted(
     node, misfit_m, sigma_m : (m,) which node, altitude minus SLAM height there, its stated deviation (NaN unknown)
     """
     n = len(step_m) + 1
-    walk = sparse.diags([-np.ones(n - 1), np.ones(n - 1)], [0, 1], shape=(n - 1, n)).tocsr()
+    each, ones = np.arange(n - 1), np.ones(n - 1)
+    ends = (np.tile(each, 2), np.concatenate([each, each + 1]))
+    walk = sparse.csr_matrix((np.concatenate([-ones, ones]), ends), shape=(n - 1, n))
     seen = sparse.csr_matrix((np.ones(len(node)), (np.arange(len(node)), node)), shape=(len(node), n))
     unit = np.sqrt(np.maximum(step_m, 0.1) / _STEP_M)
     stated = np.where(np.isfinite(sigma_m) & (sigma_m > 0), np.maximum(sigma_m, 0.01), UNKNOWN_SIGMA_M)

@@ -8,14 +8,14 @@ from flexmap_tasks.alignment.correspondence import slide
 from flexmap_tasks.alignment.gnss_line import GnssLine, driven_line
 from flexmap_tasks.alignment.pose_graph import checked_drive, first_stamp, no_control
 from flexmap_tasks.alignment.rigid_start import track_heading
-from flexmap_tasks.alignment.solve import solve
+from flexmap_tasks.alignment.solve import MULTIPATH, solve
 from flexmap_tasks.config import GraphHeldOutParams
 from flexmap_tasks.engine.stage import stage
 from flexmap_tasks.geometry.graph2d import State
 from flexmap_tasks.geometry.monotone import associate
 from flexmap_tasks.geometry.normal_equations import inverse_on_pattern
 from flexmap_tasks.geometry.se2 import rotated
-from flexmap_tasks.model.arrays import Bools, Floats
+from flexmap_tasks.model.arrays import Bools, Floats, Strings
 from flexmap_tasks.model.pose_graph import HeldOut
 from flexmap_tasks.model.projection import Projection
 from flexmap_tasks.model.tracks import GnssTrack, Trajectory
@@ -37,7 +37,7 @@ def heldout(slam: Trajectory, gnss: GnssTrack, projection: Projection, params: G
     line, _ = driven_line(gnss, _switched_off(whole.reason))
     where = _places(line, _antenna(whole.solution.state), whole.along_m)
     fold = (where // params.block_m).astype(np.int64) % params.folds
-    of_fix = np.interp(np.arange(len(gnss)), line.index, line.along_m)
+    of_fix = np.interp(np.arange(len(gnss)), line.fix, line.along_m)
     fix_fold = (of_fix // params.block_m).astype(np.int64) % params.folds
     known = _seen(line, where)
     gap, sigma = np.full(len(where), np.nan), np.full(len(where), np.nan)
@@ -55,8 +55,8 @@ def heldout(slam: Trajectory, gnss: GnssTrack, projection: Projection, params: G
     return HeldOut(drive.node[asked].astype(np.int64), where[asked], gap[asked], sigma[asked])
 
 
-def _switched_off(reason: np.ndarray) -> Bools:
-    return np.array([text.startswith("multipath") for text in reason], bool)
+def _switched_off(reason: Strings) -> Bools:
+    return np.array([text == MULTIPATH for text in reason], bool)
 
 
 def _antenna(state: State) -> Floats:

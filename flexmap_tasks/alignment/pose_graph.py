@@ -137,7 +137,7 @@ def _heights(
 ) -> tuple[Floats, Floats]:
     """Lift of every node, zero where no fix in use has an altitude, and its standard deviation."""
     n = len(drive.node)
-    index = solved.line.index[solved.found.line_row]
+    index = solved.line.fix[solved.found.line_row]
     altitude = gnss.xyz_m[index, 2] - antenna_up_m
     known = np.isfinite(altitude)
     if not known.any():
@@ -205,10 +205,10 @@ def _agreement(solved: Solved, state: State) -> float:
 
 def _use(gnss: GnssTrack, solved: Solved) -> GnssUse:
     used, residual = np.zeros(len(gnss), bool), np.full(len(gnss), np.nan)
-    index = solved.line.index[solved.found.line_row]
+    index = solved.line.fix[solved.found.line_row]
     from_group = solved.solution.groups[GNSS]
     after = from_group.residual + from_group.jacobian @ solved.solution.step
-    used[solved.line.index] = True
+    used[solved.line.fix] = True
     used[solved.reason != ""] = False
     residual[index] = np.hypot(*after.reshape(-1, 2).T) if solved.timed else np.abs(after)
     return GnssUse(gnss.row, used, solved.reason, residual)

@@ -25,7 +25,8 @@ def revisit_edges(pose: Floats, radius_m: float) -> Relative:
     if radius_m == 0.0:
         return _pairs(pose, np.empty((0, 2), np.int64))
     tree, along = cKDTree(pose[:, :2]), arc_length_m(pose[:, :2])
-    gap, near = tree.query(pose[:, :2], k=min(32, len(pose)), distance_upper_bound=radius_m)
+    found = tree.query(pose[:, :2], k=min(32, len(pose)), distance_upper_bound=radius_m)
+    gap, near = np.asarray(found[0]), np.asarray(found[1])
     first = np.repeat(np.arange(len(pose)), near.shape[1]).reshape(near.shape)
     reached = np.isfinite(gap)
     i, j, d = first[reached], near[reached], gap[reached]

@@ -134,7 +134,8 @@ def _best_of(hypotheses: list[tuple[float, Floats]], slam_xy_m: Floats, line: Gn
     tree, gnss_heading, slam_heading = cKDTree(gnss), track_heading(gnss), track_heading(slam)
     best, support = (0.0, np.zeros(2)), -1.0
     for angle, shift in hypotheses:
-        gap, near = tree.query(rotated(slam, angle) + shift, distance_upper_bound=5 * NEAR_M)
+        found = tree.query(rotated(slam, angle) + shift, distance_upper_bound=5 * NEAR_M)
+        gap, near = np.asarray(found[0]), np.asarray(found[1])
         reached = np.isfinite(gap)
         turn = wrapped(slam_heading[reached] + angle - gnss_heading[near[reached]])
         score = (np.exp(-((gap[reached] / NEAR_M) ** 2)) * (np.abs(turn) < ALIKE_RAD)).sum()

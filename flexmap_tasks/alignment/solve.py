@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -31,6 +32,10 @@ from flexmap_tasks.model.tracks import GnssTrack
 UNKNOWN_SIGMA_M = 0.03
 """Stands for the sigma of fixes that state none; its factor is estimated like every other."""
 
+MULTIPATH = "multipath: a stretch that stands off as a whole"
+
+MIN_FIXES = 3
+
 MIN_LINE_M = 20.0
 """A shorter drive has no direction worth the name."""
 
@@ -59,6 +64,38 @@ class Solved(NamedTuple):
     along_m: Floats | None
 
 
+class _Tie(NamedTuple):
+    """How fixes find their nodes: by time, or by shape from an arc length per node.
+
+    off : (k,) fixes of the line that are switched off
+    """
+
+    drive: Drive
+    line: GnssLine
+    sigma_m: Floats
+    gnss_s: Floats | None
+    along_m: Floats | None
+    off: Bools
+
+    def at(self, state: State) -> Correspondence:
+        """The fixes tied to nodes at a state."""
+        if self.along_m is not None:
+            found = by_shape(state, self.line, self.along_m, self.sigma_m)
+        else:
+            gnss_s = np.empty(0) if self.gnss_s is None else self.gnss_s
+            found = by_time(state, self.drive, self.line, gnss_s, self.sigma_m)
+        keep, fix = ~self.off[found.line_row], found.fix
+        kept = Fix(
+            fix.node[keep],
+            fix.body[keep],
+            fix.turn[keep],
+            fix.velocity[keep],
+            fix.target[keep],
+            fix.across[keep],
+        )
+        return Correspondence(kept, found.line_row[keep], found.sigma_m[keep])
+
+
 def solve(
     drive: Drive,
     gnss: GnssTrack,
@@ -75,71 +112,83 @@ def solve(
     """
     line, reason = driven_line(gnss, withheld)
     _check(line)
-    sigma = _sigmas(gnss, line)
+    gnss_s = None if drive.stamp_s is None else gnss_seconds(gnss, line, first_ns)
+    fit, offset, along = _start(drive, line, gnss_s, params.clock_offset_max_s)
+    known = _known(drive, log_scale, control, along is None, params.clock_offset_max_s)
+    tie = _Tie(drive, line, _sigmas(gnss, line), gnss_s, along, np.zeros(len(line.fix), bool))
+    found, solution = _adjusted(known, tie, _state(drive, fit, log_scale, offset))
+    revisit = revisit_edges(drive.pose[drive.node], params.revisit_radius_m)
+    for _ in range(REVISIT_ROUNDS if len(revisit.first) else 0):
+        agreement = revisit_sigma(revisit, solution.state, solution.scale)
+        known = known._replace(revisit=revisit, revisit_sigma=agreement)
+        found, solution = _adjusted(known, tie, solution.state, solution.scale, rounds=(1,))
+    for _ in range(MAX_STRETCHES):
+        where = line.along_m[found.line_row]
+        stretch = standing_off(solution, GNSS, where, 2 if known.timed else 1, params.multipath_min_m)
+        if stretch is None:
+            break
+        span = where[stretch.rows]
+        tie = tie._replace(off=tie.off | ((line.along_m >= span.min()) & (line.along_m <= span.max())))
+        reason[line.fix[tie.off]] = MULTIPATH
+        found, solution = _adjusted(known, tie, solution.state, solution.scale, rounds=(1, 1))
+    return Solved(fit, known.timed, line, reason, known, found, solution, along)
+
+
+def _start(
+    drive: Drive, line: GnssLine, gnss_s: Floats | None, offset_max_s: float
+) -> tuple[PlanarFit, float, Floats | None]:
+    """Rigid fit, clock offset, and the arc length per node when time does not tie the tracks."""
+    timed = None if gnss_s is None else timed_start(drive, line, gnss_s, offset_max_s)
+    if timed is not None:
+        return *timed, None
+    fit, along = rigid_start(drive.pose[drive.node, :2], line)
+    return fit, 0.0, along
+
+
+def _state(drive: Drive, fit: PlanarFit, log_scale: float, offset: float) -> State:
     nodes = drive.pose[drive.node]
-    gnss_s = gnss_seconds(gnss, line, first_ns) if drive.stamp_s is not None else None
-    timed = None if gnss_s is None else timed_start(drive, line, gnss_s, params.clock_offset_max_s)
-    along = None
-    if timed is None:
-        fit, along = rigid_start(nodes[:, :2], line)
-        offset = 0.0
-    else:
-        fit, offset = timed
     turn = float(np.arctan2(fit.rotation[1, 0], fit.rotation[0, 0]))
     pose = np.column_stack([nodes[:, :2] @ fit.rotation.T + fit.translation, nodes[:, 2] + turn])
-    state = State(pose, np.array([0.0, 0.0, log_scale, offset]))
-    known = Known(
-        odometry=Relative(
-            np.arange(len(nodes) - 1), np.arange(1, len(nodes)), between(nodes[:-1], nodes[1:])
-        ),
+    return State(pose, np.array([0.0, 0.0, log_scale, offset]))
+
+
+def _known(
+    drive: Drive, log_scale: float, control: tuple[Fix, Floats], timed: bool, offset_max_s: float
+) -> Known:
+    nodes = drive.pose[drive.node]
+    row = np.arange(len(nodes) - 1)
+    return Known(
+        odometry=Relative(row, row + 1, between(nodes[:-1], nodes[1:])),
         revisit=revisit_edges(nodes, 0.0),
         revisit_sigma=(1.0, 1.0),
         control=control[0],
         control_sigma_m=control[1],
-        timed=timed is not None,
+        timed=timed,
         log_scale=log_scale,
-        clock_sigma_s=params.clock_offset_max_s if timed is not None else 0.0,
+        clock_sigma_s=offset_max_s if timed else 0.0,
     )
-    off = np.zeros(len(line.index), bool)
-
-    def associate(at: State) -> Correspondence:
-        if gnss_s is not None and along is None:
-            found = by_time(at, drive, line, gnss_s, sigma)
-        else:
-            found = by_shape(at, line, along if along is not None else np.empty(0), sigma)
-        return _without(found, off)
-
-    found, solution = _adjusted(known, associate, state)
-    revisit = revisit_edges(nodes, params.revisit_radius_m)
-    for _ in range(REVISIT_ROUNDS if len(revisit.first) else 0):
-        agreement = revisit_sigma(revisit, solution.state, solution.scale)
-        known = known._replace(revisit=revisit, revisit_sigma=agreement)
-        found, solution = _adjusted(known, associate, solution.state, solution.scale, rounds=(1,))
-    components = 2 if known.timed else 1
-    for _ in range(MAX_STRETCHES):
-        where = line.along_m[found.line_row]
-        stretch = standing_off(solution, GNSS, where, components, params.multipath_min_m)
-        if stretch is None:
-            break
-        span = where[stretch.rows]
-        off |= (line.along_m >= span.min() - 1e-9) & (line.along_m <= span.max() + 1e-9)
-        reason[line.index[off]] = "multipath: a stretch that stands off as a whole"
-        found, solution = _adjusted(known, associate, solution.state, solution.scale, rounds=(1, 1))
-    return Solved(fit, known.timed, line, reason, known, found, solution, along)
 
 
-def _adjusted(known, associate, state, scale=None, rounds=(0, 0, 1, 1)):  # type: ignore[no-untyped-def]
+def _adjusted(
+    known: Known,
+    tie: _Tie,
+    state: State,
+    scale: Floats = START,
+    rounds: tuple[int, ...] = (0, 0, 1, 1),
+) -> tuple[Correspondence, Solution[State]]:
     """Associate and adjust in turns; GNSS is believed loosely at first, while the start is metres off."""
-    scale = START.copy() if scale is None else scale
     for k, turns in enumerate(rounds):
-        found = associate(state)
-        if len(found.sigma_m) < 3:
-            raise AlignmentError("GNSS track", "fewer than 3 fixes belong to the SLAM trajectory")
+        found = tie.at(state)
+        if len(found.sigma_m) < MIN_FIXES:
+            raise AlignmentError(
+                "GNSS track",
+                f"only {len(found.sigma_m)} fixes belong to the SLAM trajectory; check both inputs",
+            )
         used = scale.copy()
         if turns == 0:
             used[GNSS] *= 30.0 if k == 0 else 5.0
         try:
-            solution = adjust(state, lambda at, f=found: groups_of(known, f, at), used, FLOOR, turns, GLOBALS)
+            solution = adjust(state, partial(groups_of, known, found), used, FLOOR, turns, GLOBALS)
         except RuntimeError:
             raise AlignmentError(
                 "tracks", "SLAM and GNSS do not determine an alignment; a longer drive with turns is needed"
@@ -150,21 +199,15 @@ def _adjusted(known, associate, state, scale=None, rounds=(0, 0, 1, 1)):  # type
     return found, solution
 
 
-def _without(found: Correspondence, off: Bools) -> Correspondence:
-    keep = ~off[found.line_row]
-    fix = Fix(*(column[keep] for column in found.fix))
-    return Correspondence(fix, found.line_row[keep], found.sigma_m[keep])
-
-
 def _sigmas(gnss: GnssTrack, line: GnssLine) -> Floats:
-    sigma = np.hypot(*gnss.sigma_m[line.index, :2].T) / np.sqrt(2)
+    sigma = np.hypot(*gnss.sigma_m[line.fix, :2].T) / np.sqrt(2)
     return np.clip(np.where(np.isfinite(sigma) & (sigma > 0), sigma, UNKNOWN_SIGMA_M), 0.005, None)
 
 
 def _check(line: GnssLine) -> None:
-    if len(line.index) < 3 or line.along_m[-1] < MIN_LINE_M:
-        length = line.along_m[-1] if len(line.index) else 0.0
+    if len(line.fix) < 3 or line.along_m[-1] < MIN_LINE_M:
+        length = line.along_m[-1] if len(line.fix) else 0.0
         raise AlignmentError(
             "GNSS track",
-            f"{len(line.index)} usable fixes over {length:.1f} m; at least 3 over {MIN_LINE_M:g} m are needed",
+            f"{len(line.fix)} usable fixes over {length:.1f} m; at least 3 over {MIN_LINE_M:g} m are needed",
         )

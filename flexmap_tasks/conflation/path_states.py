@@ -16,8 +16,11 @@ from flexmap_tasks.model.arrays import Bools, Floats, Ints
 from flexmap_tasks.model.maps import RoadNetwork
 
 TURN_ABSENCE, STRAY_ABSENCE = 0.8, 0.5
-MISFIT_MAX = 8.0
-"""One sample cannot say more than this against a place."""
+"""By how much less likely than elsewhere a road is at a right-angled turn; how likely for a stray lanelet."""
+TURN_ANGLE = 0.4
+"""Degrees by which headings scatter more in a junction connector, per degree that it turns."""
+ANGLE_MISFIT_MAX = 8.0
+"""Heading alone cannot say more than this against a place."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -105,6 +108,44 @@ def states_of(
     and its inner edge where no lane comes towards it), a one-way road between there and the middle of the
     sample's own lanes.
     """
+    fits = _fits(samples, graph, near, near_cost, shift_m, sigma_m, params)
+    sample, n = near.sample, len(samples)
+    best = first_of_groups(sample * len(graph) + fits.link, fits.cost, near.segment)
+    place = best[np.lexsort((fits.link[best], np.round(fits.cost[best], 9), sample[best]))]
+    rank = np.arange(len(place)) - np.searchsorted(sample[place], sample[place])
+    place = place[rank < params.candidates]
+    place = place[np.lexsort((fits.link[place], sample[place]))]
+    of = sample[place]
+    offset = offsets(np.bincount(of, minlength=n) + 1)
+    at, total = np.arange(len(place)) + of, int(offset[-1])
+    weight = samples.step_m / params.correlation_m
+    out = States(
+        offset, np.full(total, -1, dtype=np.int64), np.zeros(total, dtype=np.int64), np.zeros(total),
+        np.zeros(total), np.zeros((total, 2)), np.zeros(total),
+    )  # fmt: skip
+    out.link[at], out.direction[at], out.s_m[at] = fits.link[place], fits.direction[place], fits.s_m[place]
+    out.cost[at] = weight[of] * fits.cost[place]
+    out.cost[offset[1:] - 1] = weight * params.absent_cost * _absence(samples)
+    out.offset_m[at], out.angle_deg[at] = fits.offset_m[place], fits.angle_deg[place]
+    return out
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Fits:
+    """How every pair of sample and segment fits; fields as in `States`, cost per independent sample."""
+
+    link: Ints
+    direction: Ints
+    s_m: Floats
+    cost: Floats
+    offset_m: Floats
+    angle_deg: Floats
+
+
+def _fits(
+    samples: Samples, graph: RoadGraph, near: Near, near_cost: Floats, shift_m: Floats, sigma_m: float,
+    params: PathParams,
+) -> _Fits:  # fmt: skip
     sample, segment = near.sample, near.segment
     point = samples.point_m[sample] + shift_m[sample]
     t, _ = project(point, graph.a_m[segment], graph.b_m[segment])
@@ -117,38 +158,16 @@ def states_of(
     along_way = direction * graph.one_way[link]
     off = graph.a_m[segment] + t[:, None] * run - point
     right = np.stack([heading[:, 1], -heading[:, 0]], axis=1)
-    aside = np.einsum("ij,ij->i", off, right)
     low, high = _expected(samples, sample, along_way != 0)
-    wanted = np.clip(aside, low, high)
-    rest = off - wanted[:, None] * right
+    rest = off - np.clip(np.einsum("ij,ij->i", off, right), low, high)[:, None] * right
     spread2 = sigma_m**2 + _junction_m(samples)[sample] ** 2
     angle = np.degrees(np.arccos(np.clip(np.abs(cos), 0.0, 1.0)))
-    angle_scale = params.angle_sigma_deg + 0.4 * np.minimum(samples.turn_deg, 120.0)[sample]
+    angle_scale = params.angle_sigma_deg + TURN_ANGLE * np.minimum(samples.turn_deg, 120.0)[sample]
     # Student's t with three degrees of freedom: here and there a road is far more displaced than the rest.
     cost = 2.0 * np.log1p(np.einsum("ij,ij->i", rest, rest) / spread2 / 3.0)
-    cost = cost + np.minimum((angle / angle_scale) ** 2 / 2, MISFIT_MAX)
+    cost = cost + np.minimum((angle / angle_scale) ** 2 / 2, ANGLE_MISFIT_MAX)
     cost = cost + near_cost + params.wrong_way_cost * (along_way < 0)
-    s = graph.s_m[segment] + t * length
-    best = first_of_groups(sample * len(graph) + link, cost, segment)
-    place = best[np.lexsort((link[best], np.round(cost[best], 9), sample[best]))]
-    rank = np.arange(len(place)) - np.searchsorted(sample[place], sample[place])
-    place = place[rank < params.candidates]
-    place = place[np.lexsort((link[place], sample[place]))]
-    n = len(samples)
-    count = np.bincount(sample[place], minlength=n)
-    offset = offsets(count + 1)
-    at = np.arange(len(place)) + sample[place]
-    total = int(offset[-1])
-    weight = samples.step_m[sample[place]] / params.correlation_m
-    nowhere = samples.step_m / params.correlation_m * params.absent_cost * _absence(samples)
-    out = States(
-        offset, np.full(total, -1, dtype=np.int64), np.zeros(total, dtype=np.int64), np.zeros(total),
-        np.zeros(total), np.zeros((total, 2)), np.zeros(total),
-    )  # fmt: skip
-    out.link[at], out.direction[at], out.s_m[at] = link[place], direction[place], s[place]
-    out.cost[at], out.cost[offset[1:] - 1] = weight * cost[place], nowhere
-    out.offset_m[at], out.angle_deg[at] = rest[place] + shift_m[sample[place]], angle[place]
-    return out
+    return _Fits(link, direction, graph.s_m[segment] + t * length, cost, rest + shift_m[sample], angle)
 
 
 def _expected(samples: Samples, sample: Ints, directed: Bools) -> tuple[Floats, Floats]:

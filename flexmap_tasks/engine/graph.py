@@ -116,6 +116,12 @@ class Graph:
         """Put an artifact into the release: a file at `path`, files below a `path/`, or "." by their own names."""
         self.release.append((path, ref))
 
+    def leave_out(self, *stages: AnyStage) -> None:
+        """Take out stages that no other waits for, and what they would have released."""
+        for stage in stages:
+            self.nodes.pop(stage.name, None)
+            self.release = [(path, ref) for path, ref in self.release if ref.node != stage.name]
+
     def _add(
         self, stage: AnyStage, params: Params | None, inputs: Mapping[str, Input | None],
         each: str | None = None, narrow: Narrow | None = None,

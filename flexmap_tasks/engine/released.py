@@ -55,7 +55,7 @@ class Released:
 def find_release(store: Store, name: str) -> Released:
     """The release that a person means: its folder, a file in it, `map`, `map/id`, or the beginning of an id."""
     path = Path(name)
-    for folder in (path, *path.parents):
+    for folder in (path, *path.parents) if path.exists() else ():
         if (folder / MANIFEST).is_file():
             return _open(folder.resolve())
     by_map = store.releases / name / ("" if "/" in name else "latest")

@@ -16,7 +16,11 @@ from flexmap_tasks.errors import ConfigError
 P = TypeVar("P", bound=Params)
 
 
-class _Loader(yaml.SafeLoader):
+MAX_DEPTH = 50
+"""No configuration needs more."""
+
+
+class _Loader(getattr(yaml, "CSafeLoader", yaml.SafeLoader)):  # type: ignore[misc]  # C reads 7 times faster
     """Safe YAML in which a key that stands twice is an error."""
 
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
@@ -26,7 +30,8 @@ class _Loader(yaml.SafeLoader):
                 raise yaml.MarkedYAMLError(
                     problem=f"key {key!r} stands twice", problem_mark=key_node.start_mark
                 )
-        return super().construct_mapping(node, deep)
+        found: dict[Any, Any] = super().construct_mapping(node, deep)
+        return found
 
 
 def load_config(kind: type[P], file: Path, overrides: Iterable[str] = ()) -> P:
@@ -78,12 +83,27 @@ def _read(file: Path) -> dict[str, Any]:
 
 def _parse(text: str, source: str) -> Any:
     try:
+        _refuse_depth(text, source)
         return yaml.load(text, _Loader)  # noqa: S506 - a SafeLoader
     except yaml.MarkedYAMLError as error:
         line = f"line {error.problem_mark.line + 1}" if error.problem_mark else None
         raise ConfigError(source, f"is not valid YAML: {error.problem}", line) from None
     except (yaml.YAMLError, RecursionError, ValueError) as error:
         raise ConfigError(source, f"is not valid YAML: {str(error).splitlines()[0]}") from None
+
+
+def _refuse_depth(text: str, source: str) -> None:
+    """Reading nested values recurses, in C where nothing catches it; telling the depth does not."""
+    depth = 0
+    for event in yaml.parse(text, _Loader):
+        if isinstance(event, yaml.CollectionStartEvent):
+            depth += 1
+        elif isinstance(event, yaml.CollectionEndEvent):
+            depth -= 1
+        if depth > MAX_DEPTH:
+            raise ConfigError(
+                source, f"is nested deeper than {MAX_DEPTH} levels", f"line {event.start_mark.line + 1}"
+            )
 
 
 def _readable(error: Mapping[str, Any]) -> str:

@@ -114,7 +114,8 @@ def _on_pattern_of(normal: sparse.csc_matrix, inverse: sparse.csc_matrix) -> spa
     """The inverse where the normal equations are not zero: the factor has many more entries."""
     pattern = normal.copy()
     pattern.data = np.ones_like(pattern.data)
-    return inverse.multiply(pattern).tocsr()
+    out: sparse.csr_matrix = inverse.multiply(pattern).tocsr()
+    return out
 
 
 def _variances(jacobian: sparse.csr_matrix, inverse: sparse.csr_matrix, shared: int) -> Floats:
@@ -124,9 +125,9 @@ def _variances(jacobian: sparse.csr_matrix, inverse: sparse.csr_matrix, shared: 
     mixed = inverse[:cut, cut:].toarray()
     alone = (own @ inverse[:cut, :cut]).multiply(own).sum(axis=1)
     together = 2.0 * ((own @ mixed) * common).sum(axis=1)
-    return (
-        np.asarray(alone).ravel() + together + ((common @ inverse[cut:, cut:].toarray()) * common).sum(axis=1)
-    )
+    both = ((common @ inverse[cut:, cut:].toarray()) * common).sum(axis=1)
+    out: Floats = np.asarray(alone).ravel() + together + both
+    return out
 
 
 def _estimated(

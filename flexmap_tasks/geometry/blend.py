@@ -18,7 +18,8 @@ from numpy.typing import NDArray
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
-SPACING_M, CELLS = 2.0, 64
+SPACING_M, CELL_BITS = 2.0, 6
+CELLS = 1 << CELL_BITS
 """Lattice spacing, and cells along the edge of a block of it that is computed at once."""
 
 BLOCK_M = SPACING_M * CELLS
@@ -28,6 +29,9 @@ REACH_PER_SIGMA = 8.0**0.5
 
 REACH_GROWTH = 1.5
 """How much the kernel's reach grows per metre of distance from the nearest pose."""
+
+FARTHEST_M = 1e8
+"""Nothing on Earth lies further from its map's origin; such places become NaN."""
 
 CHANNELS = 4
 """Of a lattice node: shift east, shift north, lift, standard deviation."""
@@ -117,9 +121,9 @@ def look_up(pages, table, i0, j0, xyz, out):  # type: ignore[no-untyped-def]  # 
         u, v = x / SPACING_M, y / SPACING_M
         fu, fv = np.floor(u), np.floor(v)
         page = -1
-        if abs(u) < 1e15 and abs(v) < 1e15:
+        if abs(x) < FARTHEST_M and abs(y) < FARTHEST_M:
             ci, cj = int(fu) - i0 * CELLS, int(fv) - j0 * CELLS
-            bi, bj = ci // CELLS, cj // CELLS
+            bi, bj = ci >> CELL_BITS, cj >> CELL_BITS
             if bi >= 0 and bj >= 0 and bi < table.shape[0] and bj < table.shape[1]:
                 page = table[bi, bj]
         if page < 0:
@@ -128,10 +132,12 @@ def look_up(pages, table, i0, j0, xyz, out):  # type: ignore[no-untyped-def]  # 
         a, b = ci - bi * CELLS, cj - bj * CELLS
         s, t = u - fu, v - fv
         w00, w10, w01, w11 = (1.0 - s) * (1.0 - t), s * (1.0 - t), (1.0 - s) * t, s * t
-        p = pages[page]
         for c in range(CHANNELS):
             out[n, c] = (
-                w00 * p[a, b, c] + w10 * p[a + 1, b, c] + w01 * p[a, b + 1, c] + w11 * p[a + 1, b + 1, c]
+                w00 * pages[page, a, b, c]
+                + w10 * pages[page, a + 1, b, c]
+                + w01 * pages[page, a, b + 1, c]
+                + w11 * pages[page, a + 1, b + 1, c]
             )
         out[n, 0] += x
         out[n, 1] += y
@@ -140,14 +146,34 @@ def look_up(pages, table, i0, j0, xyz, out):  # type: ignore[no-untyped-def]  # 
 
 def blocks_of(xyz: Floats) -> Ints:
     """(b, 2) the blocks that hold points, in order."""
-    known = xyz[np.isfinite(xyz[:, :2]).all(axis=1), :2]
-    index = np.floor(known / BLOCK_M).astype(np.int64)
-    if len(index) == 0:
-        return index
-    low = index.min(axis=0)
-    size = index.max(axis=0) - low + 1
+    low, high = _corners(xyz)
+    if not low[0] <= high[0]:
+        return np.empty((0, 2), np.int64)
+    first = np.floor(low / BLOCK_M).astype(np.int64)
+    size = np.floor(high / BLOCK_M).astype(np.int64) - first + 1
     if int(size[0]) * int(size[1]) > 1 << 22:
-        return np.unique(index, axis=0)
-    present = np.zeros((size[0], size[1]), bool)
-    present[index[:, 0] - low[0], index[:, 1] - low[1]] = True
-    return np.argwhere(present) + low
+        known = xyz[(np.abs(xyz[:, :2]) < FARTHEST_M).all(axis=1), :2]
+        return np.unique(np.floor(known / BLOCK_M).astype(np.int64), axis=0)
+    present = np.zeros((size[0], size[1]), np.bool_)
+    _mark(xyz, first[0], first[1], present)
+    blocks: Ints = np.argwhere(present) + first
+    return blocks
+
+
+@njit(cache=True, nogil=True)
+def _corners(xyz):  # type: ignore[no-untyped-def]  # pragma: no cover
+    low, high = np.full(2, np.inf), np.full(2, -np.inf)
+    for n in range(len(xyz)):
+        x, y = xyz[n, 0], xyz[n, 1]
+        if abs(x) < FARTHEST_M and abs(y) < FARTHEST_M:
+            low[0], low[1] = min(low[0], x), min(low[1], y)
+            high[0], high[1] = max(high[0], x), max(high[1], y)
+    return low, high
+
+
+@njit(cache=True, nogil=True)
+def _mark(xyz, i0, j0, present):  # type: ignore[no-untyped-def]  # pragma: no cover
+    for n in range(len(xyz)):
+        x, y = xyz[n, 0], xyz[n, 1]
+        if abs(x) < FARTHEST_M and abs(y) < FARTHEST_M:
+            present[int(np.floor(x / BLOCK_M)) - i0, int(np.floor(y / BLOCK_M)) - j0] = True

@@ -38,7 +38,8 @@ def associate(
     reach = int(np.ceil(3.0 * float(np.quantile(step, 0.99)) / spacing)) + 4
     if first is None or width is None:
         first, width = np.zeros(len(points), np.int64), len(line)
-    return _associate(points, heading, step, line, line_heading, seen, spacing, reach, first, width)
+    place: Ints = _associate(points, heading, step, line, line_heading, seen, spacing, reach, first, width)
+    return place
 
 
 @njit(cache=True, nogil=True)

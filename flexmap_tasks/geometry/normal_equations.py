@@ -31,7 +31,8 @@ def inverse_on_pattern(lu: SuperLU) -> sparse.csc_matrix:
     values = _takahashi(lower.indptr, lower.indices, lower.data, lu.U.diagonal())
     half = sparse.csc_matrix((values, lower.indices, lower.indptr), shape=lower.shape)
     full = half + sparse.tril(half, -1).T
-    return full[lu.perm_c][:, lu.perm_c].tocsc()
+    out: sparse.csc_matrix = full[lu.perm_c][:, lu.perm_c].tocsc()
+    return out
 
 
 @njit(cache=True, nogil=True)

@@ -161,7 +161,7 @@ class Warp:
     def apply(self, xyz_m: Floats) -> Floats:
         """(n, 3) places in the fixed frame of (n, 3) places in the moving one; z is kept, NaN stays NaN."""
         if self.bend is not None:
-            return self.bend.apply(xyz_m)[:, :3]
+            return np.ascontiguousarray(self.bend.apply(xyz_m)[:, :3])
         if self.unbend is not None:
             return self.unbend.undo(xyz_m, self.motion.apply_xy(xyz_m), self.motion.linear)
         return kernels.move(_mesh(self, len(xyz_m)), xyz_m)

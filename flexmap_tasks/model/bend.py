@@ -41,15 +41,18 @@ class Bend:
     def apply(self, xyz_m: Floats) -> Floats:
         """(n, 4) x, y, z in the fixed frame and the standard deviation there, of (n, 3) places."""
         points = np.ascontiguousarray(xyz_m)
-        out = np.full((len(points), blend.CHANNELS), np.nan)
         blocks = blend.blocks_of(points)
+        whole = 0 < len(blocks) <= _PAGES
+        out = np.empty((len(points), blend.CHANNELS))
+        if not whole:
+            out.fill(np.nan)
         for start in range(0, len(blocks), _PAGES):
             part = blocks[start : start + _PAGES]
             pages = np.stack([_block(self, int(i), int(j)) for i, j in part])
             low = part.min(axis=0)
             table = np.full(part.max(axis=0) - low + 1, -1, np.int64)
             table[tuple((part - low).T)] = np.arange(len(part))
-            if len(blocks) <= _PAGES:
+            if whole:
                 blend.look_up(pages, table, int(low[0]), int(low[1]), points, out)
                 break
             moved = np.empty_like(out)

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from flexmap_tasks.model.arrays import Bools, Floats, Ints, Strings
 from flexmap_tasks.model.alignment import RigidMotion
+from flexmap_tasks.model.arrays import Bools, Floats, Ints, Strings
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -72,7 +72,7 @@ def _projector(projector: Mapping[str, Any] | None) -> Iterator[Found]:
         yield _file("bundle-file-unreadable", f"{PROJECTOR_FILE} is no YAML mapping")
         return
     kind = projector.get("projector_type")
-    if kind not in NEEDS:
+    if not isinstance(kind, str) or kind not in NEEDS:
         yield _file(
             "projector-type-unknown",
             f"projector_type is {str(kind)[:40]!r}; expected one of {', '.join(NEEDS)}",

@@ -143,9 +143,15 @@ def _vector_files(title: str, layers: Sequence[VectorLayer]) -> dict[str, bytes]
     return {
         PACKAGE: geopackage(layers),
         "flexmap.qgs": qgis_project(title, PACKAGE, layers, LOOKS, extent),
-        "flexmap.kml": kml(title, [layer for layer in layers if layer.name in IN_KML], NAMES),
+        "flexmap.kml": kml(title, [_without_tags(layer) for layer in layers if layer.name in IN_KML], NAMES),
         **{f"{layer.name}.geojson": geojson(layer) for layer in layers},
     }
+
+
+def _without_tags(layer: VectorLayer) -> VectorLayer:
+    """KML is for looking; the tags as one long text are not."""
+    columns = {name: column for name, column in layer.columns.items() if name != "tags"}
+    return VectorLayer(layer.name, layer.kind, layer.geometry, columns)
 
 
 def _trajectory(aligned: Trajectory) -> dict[str, bytes]:

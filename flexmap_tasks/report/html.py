@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import html
 import re
+from collections.abc import Sequence
 
 from flexmap_tasks.report import page as parts
 from flexmap_tasks.report.embed import Json, script_json
@@ -16,25 +17,34 @@ _SOURCE_MAP = re.compile(r"^//# sourceMappingURL=.*$", re.MULTILINE)
 
 
 def page(title: str, data: Json) -> bytes:
-    """The whole file, the same for the same data.
+    """The whole report, the same for the same data.
 
     The policy allows exactly the scripts and styles that stand in it, and no connection at all.
     """
-    scripts = [_library("leaflet.js"), _library("uplot.js"), _own_script()]
+    return _filled("report.html", parts.SCRIPTS, title, data, connect="'none'")
+
+
+def editor_page(title: str, data: Json) -> bytes:
+    """The editor's page, which may talk to the server it came from and to nobody else."""
+    return _filled("editor.html", parts.EDITOR_SCRIPTS, title, data, connect="'self'")
+
+
+def _filled(template: str, names: Sequence[str], title: str, data: Json, connect: str) -> bytes:
+    scripts = [_library("leaflet.js"), _library("uplot.js"), _own_script(names)]
     styles = [_library("leaflet.css"), _library("uplot.css"), parts.text("report.css")]
     filled = {
-        "policy": html.escape(_policy(scripts, styles)),
+        "policy": html.escape(_policy(scripts, styles, connect)),
         "title": html.escape(title),
         "styles": "\n".join(f"<style>{style}</style>" for style in styles),
         "data": script_json(data),
         "scripts": "\n".join(f"<script>{script}</script>" for script in scripts),
         "libraries": html.escape("\n".join(map(parts.vendored, LICENCES))),
     }
-    return _SLOT.sub(lambda slot: filled[slot[1]], parts.text("report.html")).encode()
+    return _SLOT.sub(lambda slot: filled[slot[1]], parts.text(template)).encode()
 
 
-def _own_script() -> str:
-    body = "\n".join(parts.text(name) for name in parts.SCRIPTS)
+def _own_script(names: Sequence[str]) -> str:
+    body = "\n".join(parts.text(name) for name in names)
     return f'(() => {{\n"use strict";\n{body}\n}})();\n'
 
 
@@ -42,12 +52,13 @@ def _library(name: str) -> str:
     return _SOURCE_MAP.sub("", parts.vendored(name))
 
 
-def _policy(scripts: list[str], styles: list[str]) -> str:
+def _policy(scripts: list[str], styles: list[str], connect: str) -> str:
     rules = {
         "default-src": "'none'",
         "script-src": " ".join(map(_hash, scripts)),
         "style-src": " ".join(map(_hash, styles)),
         "img-src": "data: blob:",
+        "connect-src": connect,
         "base-uri": "'none'",
         "form-action": "'none'",
     }

@@ -28,7 +28,7 @@ def issues_json(groups: Mapping[str, tuple[Findings, tuple[str, ...]]]) -> bytes
 def _requirement(name: str, findings: Findings, codes: tuple[str, ...]) -> dict[str, object]:
     by_code: dict[str, list[dict[str, object]]] = {code: [] for code in codes}
     for i in range(len(findings)):
-        code = str(findings.code[i])
+        code = clean(str(findings.code[i]))
         by_code.setdefault(code, []).append(
             {
                 "severity": str(findings.severity[i]).capitalize(),

@@ -19,6 +19,11 @@ def moved(lanelet_map: LaneletMap, warp: Warp) -> LaneletMap:
     return replace(lanelet_map, xyz_m=warp.apply(lanelet_map.xyz_m))
 
 
+def map_of(lanelet_map: LaneletMap, texts: Texts) -> Json:
+    """Lines and lanelets of a map."""
+    return {"lines": lines_of(lanelet_map, texts), "lanelets": lanelets_of(lanelet_map, texts)}
+
+
 def lines_of(lanelet_map: LaneletMap, texts: Texts) -> Json:
     """Every way of the map whose nodes exist, as a line."""
     ways = lanelet_map.document.ways

@@ -62,8 +62,8 @@ def report(
         "slam": drive.slam_of(slam, gnss, warp),
         "points": drive.points_of(control_points, warp, texts),
         "sheet": drive.sheet_of(warp),
-        "before": _map(maps.moved(source_map, start), texts) if source_map is not None else None,
-        "after": _map(final, texts) if final is not None else None,
+        "before": maps.map_of(maps.moved(source_map, start), texts) if source_map is not None else None,
+        "after": maps.map_of(final, texts) if final is not None else None,
         "matches": decisions.matches_of(matches, texts) if matches is not None else None,
         "transfers": decisions.transfers_of(transfers, texts) if transfers is not None else None,
         "lane_check": decisions.lane_check_of(lane_check, texts) if lane_check is not None else None,
@@ -79,17 +79,10 @@ def report(
         if matches is not None and source_map is not None:
             links = decisions.links_between(matches, maps.moved(source_map, warp), roads, xy_m)
             data["links"] = decisions.links_of(links)
-    data["frame"] = _frame(projection, near)
+    data["frame"] = frame_of(projection, near)
     data["map"] = params.map
     data["texts"] = texts.table()
     return {REPORT_FILE: page(params.map, data)}
-
-
-def _map(lanelet_map: LaneletMap, texts: Texts) -> Json:
-    return {
-        "lines": maps.lines_of(lanelet_map, texts),
-        "lanelets": maps.lanelets_of(lanelet_map, texts),
-    }
 
 
 def _motion(motion: RigidMotion) -> Json:
@@ -101,7 +94,7 @@ def _motion(motion: RigidMotion) -> Json:
     }
 
 
-def _frame(projection: Projection, near: Floats) -> Json:
+def frame_of(projection: Projection, near: Floats) -> Json:
     """The projection, and a grid of longitude and latitude over everything that is drawn."""
     known = near[np.isfinite(near).all(axis=1)]
     low, high = (known.min(axis=0), known.max(axis=0)) if len(known) else (np.zeros(2), np.zeros(2))

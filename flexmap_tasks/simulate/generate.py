@@ -21,6 +21,7 @@ from flexmap_tasks.simulate.slam import SlamTrack, make_slam
 from flexmap_tasks.simulate.world import World
 
 BOX_MARGIN_M = 60.0
+CANDIDATES_PER_PICK, LEAST_APART_M = 4, 15.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -63,23 +64,23 @@ def simulate(world: World, topology: Draft | None = None) -> Simulation:
 
 
 def picked_rows(simulation: Simulation) -> Ints:
-    """Poses a person would pick as control points: spread over the drive, at bends first."""
+    """Poses a person would pick as control points: at bends, spread over the town, no two at one place."""
     slam, count = simulation.slam, simulation.world.control_points.count
-    if count == 0:
-        return np.empty(0, dtype=np.int64)
-    bend = np.abs(np.gradient(slam.true_yaw_rad)) / np.maximum(np.gradient(slam.s_m), 0.05)
-    bend[np.gradient(slam.s_m) < 0.05] = -1.0
-    edges = np.linspace(0.0, slam.s_m[-1] + 1e-6, count + 1)
-    rows = []
-    for a, b in pairwise(edges):
-        here = np.flatnonzero((slam.s_m >= a) & (slam.s_m < b))
-        if len(here):
-            rows.append(int(here[np.argmax(bend[here])]))
-    apart: list[int] = []
-    for row in rows:
-        if all(np.hypot(*(slam.true_xyz_m[row] - slam.true_xyz_m[k])[:2]) > 15.0 for k in apart):
-            apart.append(row)
-    return np.array(apart, dtype=np.int64)
+    step = np.gradient(slam.s_m)
+    bend = np.where(step > 0.05, np.abs(np.gradient(slam.true_yaw_rad)) / np.maximum(step, 0.05), -1.0)
+    edges = np.linspace(0.0, slam.s_m[-1] + 1e-6, CANDIDATES_PER_PICK * count + 1)
+    parts = [np.flatnonzero((slam.s_m >= a) & (slam.s_m < b)) for a, b in pairwise(edges)]
+    rows = np.array([part[np.argmax(bend[part])] for part in parts if len(part)], dtype=np.int64)
+    if not len(rows):
+        return rows
+    xy = slam.true_xyz_m[rows, :2]
+    picked = [int(np.argmax(bend[rows]))]
+    while len(picked) < count:
+        distance = np.min([np.hypot(*(xy - xy[k]).T) for k in picked], axis=0)
+        if distance.max() < LEAST_APART_M:
+            break
+        picked.append(int(np.argmax(distance)))
+    return np.sort(rows[picked])
 
 
 def picked_targets(simulation: Simulation, rows: Ints) -> Floats:

@@ -224,7 +224,10 @@ class World(Params):
         return World.model_validate(data)
 
     def noiseless(self) -> World:
-        """The same town and drive with every error at zero: what is left is a rigid motion."""
+        """The same town and drive with every error at zero: what is left is a rigid motion.
+
+        Fixes and poses are then of the same moments, since lines over different vertices are not the same line.
+        """
         return self.changed(
             gnss=dict.fromkeys(
                 ("white_sigma_m", "slow_sigma_m", "float_share", "dgps_share", "single_share",
@@ -234,8 +237,8 @@ class World(Params):
             slam=dict.fromkeys(
                 ("yaw_walk_mrad_per_sqrt_m", "pitch_walk_mrad_per_sqrt_m", "scale_sigma",
                  "position_walk_m_per_sqrt_m",
-                 "position_noise_m", "angle_noise_mrad", "tilt_roll_deg", "tilt_pitch_deg"), 0
-            ),
+                 "position_noise_m", "angle_noise_mrad", "tilt_roll_deg", "tilt_pitch_deg", "keyframe_m"), 0
+            ) | {"rate_hz": self.gnss.rate_hz},
             cloud={"noise_m": 0},
             hd_map=dict.fromkeys(("annotation_sigma_m", "missing_lane_share", "fragment_share"), 0),
             osm=dict.fromkeys(

@@ -25,7 +25,9 @@ def numbers(tmp_path: Path) -> Path:
     return file
 
 
-def kill_runs(folder: Path, numbers: Path, expected: dict[str, bytes], kills: int, seed: int, longest_s: float) -> int:
+def kill_runs(
+    folder: Path, numbers: Path, expected: dict[str, bytes], kills: int, seed: int, longest_s: float
+) -> int:
     """Kill runs at random times on a store that fills up; the run after them must end as if nothing had happened.
 
     Returns how many were killed before they were done.
@@ -35,7 +37,9 @@ def kill_runs(folder: Path, numbers: Path, expected: dict[str, bytes], kills: in
     for _ in range(kills // KILLS_IN_A_ROW):
         shutil.rmtree(folder, ignore_errors=True)
         for _ in range(KILLS_IN_A_ROW):
-            process = PROCESSES.Process(target=run_once, args=(str(folder), str(folder / "r"), str(numbers), 2.0))
+            process = PROCESSES.Process(
+                target=run_once, args=(str(folder), str(folder / "r"), str(numbers), 2.0)
+            )
             process.start()
             time.sleep(rng.random() * longest_s)
             process.kill()
@@ -63,14 +67,18 @@ def test_a_run_after_kills_ends_with_the_undisturbed_bytes(tmp_path, numbers):
     assert early > KILLS // 3  # else this proved little
 
 
-def together(url: str, releases: Path, numbers: Path, processes: int, rounds: int, grace_s: float, environment=None):
+def together(
+    url: str, releases: Path, numbers: Path, processes: int, rounds: int, grace_s: float, environment=None
+):
     """Processes with overlapping work, and gc all the while."""
     stop = PROCESSES.Event()
     shared = (url, str(releases), str(numbers))
     environment = environment or {}
     sweeper = PROCESSES.Process(target=collect_until, args=(url, str(releases), stop, grace_s, environment))
     workers = [
-        PROCESSES.Process(target=run_many, args=(*shared, random.Random(i).choices([1.0, 2.0, 3.0], k=rounds), environment))
+        PROCESSES.Process(
+            target=run_many, args=(*shared, random.Random(i).choices([1.0, 2.0, 3.0], k=rounds), environment)
+        )
         for i in range(processes)
     ]
     for process in (sweeper, *workers):

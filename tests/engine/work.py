@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import multiprocessing
 import os
+import tempfile
 import time
 from pathlib import Path
 from typing import Any
@@ -14,7 +15,7 @@ from flexmap_tasks.engine.fingerprint import learn_code
 from flexmap_tasks.engine.gc import collect
 from flexmap_tasks.engine.local import heal, run_local
 from flexmap_tasks.engine.release import Release, publish_release
-from flexmap_tasks.engine.runs import write_last_run
+from flexmap_tasks.engine.runs import sources_of, write_last_run
 from flexmap_tasks.store import backend
 from flexmap_tasks.store.store import Store
 
@@ -41,7 +42,7 @@ def run_toy(store: Store, numbers: Path, factor: float = 2.0) -> Release:
         actions = {n: o.key for n, o in outcomes.items()}
         artifacts = {n: o.artifact for n, o in outcomes.items()}
         release = publish_release(store, graph, artifacts, actions, store.releases, "toy")
-        write_last_run(store, "toy", actions, release.id)
+        write_last_run(store, "toy", actions, release.id, sources_of(store, graph))
         return release
 
     return heal(work)
@@ -52,7 +53,9 @@ def run_once(url: str, releases: str, numbers: str, factor: float) -> None:
     run_toy(Store.open(url, Path(releases)), Path(numbers), factor)
 
 
-def run_many(url: str, releases: str, numbers: str, factors: list[float], environment: dict[str, str]) -> None:
+def run_many(
+    url: str, releases: str, numbers: str, factors: list[float], environment: dict[str, str]
+) -> None:
     """Several runs, one after the other; what is reused counts as new at once."""
     os.environ.update(environment)
     backend.RENEW_AFTER_S = 0.05
@@ -77,5 +80,18 @@ def join_all(processes: list[Any], timeout_s: float = 240) -> None:
         assert process.exitcode == 0
 
 
+def _warm_up() -> None:
+    """What is loaded on first use is loaded in the server, so that a kill meets a run and not its imports."""
+    with tempfile.TemporaryDirectory() as folder:
+        numbers = Path(folder) / "numbers.txt"
+        numbers.write_text("1\n2\n")
+        run_toy(Store.open(Path(folder) / "store"), numbers)
+
+
 def files_of(folder: Path) -> dict[str, bytes]:
-    return {p.relative_to(folder).as_posix(): p.read_bytes() for p in sorted(folder.rglob("*")) if p.is_file()}
+    return {
+        p.relative_to(folder).as_posix(): p.read_bytes() for p in sorted(folder.rglob("*")) if p.is_file()
+    }
+
+
+_warm_up()

@@ -48,12 +48,12 @@ def nights(root: Path, maps: int, workers: int, *, kill: bool, port: int | None 
         crew = [server.worker(f"worker{n}", "towns", limit=3) for n in range(workers)]
 
         if kill:
-            crew_of_night = KillInTheMiddle(server, crew[-1].pid)
-            crew_of_night.start()
+            killer = KillInTheMiddle(server, [worker.pid for worker in crew])
+            killer.start()
         table, runs, seconds["first"] = night(server)
         if kill:
-            crew_of_night.join()
-            assert crew_of_night.killed, "nothing ran on the worker when it was to be killed"
+            killer.join()
+            assert killer.killed, "nothing ran on the worker when it was to be killed"
             server.worker("worker-new", "towns", limit=3)
         assert states(table) == {n: "failed" if n == broken else "published" for n in names}
         reason = next(row["reason"] for row in table if row["map"] == broken)
@@ -86,10 +86,10 @@ def nights(root: Path, maps: int, workers: int, *, kill: bool, port: int | None 
 
 
 class KillInTheMiddle:
-    """Kills a worker with everything it runs, as soon as it runs something."""
+    """Kills a worker with everything it runs, as soon as it runs a map; not the one that runs the update itself."""
 
-    def __init__(self, server: Server, pid: int) -> None:
-        self._server, self._pid, self.killed = server, pid, False
+    def __init__(self, server: Server, workers: list[int]) -> None:
+        self._server, self._workers, self.killed = server, workers, False
         self._thread = threading.Thread(target=self._run)
 
     def start(self) -> None:
@@ -104,17 +104,23 @@ class KillInTheMiddle:
         deadline = time.monotonic() + 600
         since = datetime.now(UTC).isoformat()
         while time.monotonic() < deadline and not self.killed:
-            mine = [
-                r for r in self._server.map_runs(since) if r["state_type"] == "RUNNING" and self._is_mine(r)
-            ]
-            if mine:
-                kill_tree(self._pid)
-                self.killed = True
+            update = [pid_of(run) for run in self._server.runs("fleet_update")]
+            for run in self._server.map_runs(since):
+                worker = self._worker_of(pid_of(run))
+                if run["state_type"] == "RUNNING" and worker and worker not in map(self._worker_of, update):
+                    kill_tree(worker)
+                    self.killed = True
+                    return
             time.sleep(0.2)
 
-    def _is_mine(self, run: dict[str, Any]) -> bool:
-        pid = str(run.get("infrastructure_pid") or "").rpartition(":")[2]
-        return pid.isdigit() and int(pid) in descendants(self._pid)
+    def _worker_of(self, pid: int) -> int | None:
+        return next((worker for worker in self._workers if pid in descendants(worker)), None)
+
+
+def pid_of(run: dict[str, Any]) -> int:
+    """The process of a run; 0 when it has none."""
+    pid = str(run.get("infrastructure_pid") or "").rpartition(":")[2]
+    return int(pid) if pid.isdigit() else 0
 
 
 def descendants(pid: int) -> set[int]:

@@ -97,15 +97,20 @@ class Server:
             time.sleep(1)
         raise AssertionError(f"{run['name']} is still {run['state_name']} after {timeout_s} s")
 
-    def map_runs(self, since: str) -> list[dict[str, Any]]:
-        """Runs of map_update created after a time."""
-        found: list[dict[str, Any]] = self.ask(
-            "/flow_runs/filter",
-            flows={"name": {"any_": ["map_update"]}},
-            flow_runs={"start_time": {"is_null_": False}},
-            sort="START_TIME_ASC",
+    def runs(self, flow: str) -> list[dict[str, Any]]:
+        """Runs of a flow that have begun."""
+        return list(
+            self.ask(
+                "/flow_runs/filter",
+                flows={"name": {"any_": [flow]}},
+                flow_runs={"start_time": {"is_null_": False}},
+                sort="START_TIME_ASC",
+            )
         )
-        return [run for run in found if run["created"] > since]
+
+    def map_runs(self, since: str) -> list[dict[str, Any]]:
+        """Runs of map_update created after a time that have begun."""
+        return [run for run in self.runs("map_update") if run["created"] > since]
 
     def artifact(self, key: str) -> Any:
         """The newest artifact under a key."""

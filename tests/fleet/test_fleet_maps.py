@@ -62,7 +62,7 @@ def test_nights_without_prefect(fleet_file: Path, capsys: pytest.CaptureFixture[
     assert second[1].release != first[1].release
 
     fleet = load_fleet(fleet_file)
-    rows, todo = plan_fleet(open_store(fleet), find_jobs(fleet))
+    rows, todo = plan_fleet(open_store(fleet), fleet)
     assert todo == []
     assert states(rows) == {"town00": "unchanged", "town01": "unchanged", "town02": "failed"}
     assert "not tried again" in rows[2].reason
@@ -91,7 +91,7 @@ def test_a_fleet_says_what_is_wrong_with_one_map_and_goes_on(tmp_path: Path) -> 
                          "recordings": {"folder": "town01/recordings", "pattern": "*.bag"}})  # fmt: skip
     file.write_text(yaml.safe_dump(data))
     fleet = load_fleet(file)
-    rows, todo = plan_fleet(open_store(fleet), find_jobs(fleet))
+    rows, todo = plan_fleet(open_store(fleet), fleet)
     assert states(rows) == {"town00": "failed", "nowhere": "failed", "empty": "waiting"}
     assert "alignment.method" in rows[0].reason
     assert [item.job.map for item in todo] == ["town01"]
@@ -155,6 +155,6 @@ def test_the_example_is_a_fleet() -> None:
 
 def test_a_job_has_something_to_do_until_it_was_done(tmp_path: Path) -> None:
     fleet = load_fleet(write_fleet(tmp_path, 1))
-    _, todo = plan_fleet(open_store(fleet), find_jobs(fleet))
+    _, todo = plan_fleet(open_store(fleet), fleet)
     assert isinstance(todo[0], Todo)
     assert todo[0].job.recording == "night1.mcap"

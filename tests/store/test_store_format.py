@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from flexmap_tasks.engine.runs import read_runs
-from flexmap_tasks.store.artifact import digest_of
-from flexmap_tasks.store.store import Store
+from flexmap_tasks.engine.runs import read_runs, write_last_run
+from flexmap_tasks.store.artifact import Artifact, digest_of
+from flexmap_tasks.store.store import ActionRecord, Store
 
 FIRST = Path(__file__).parent / "format_1"
 KEY = digest_of(b"the action")
@@ -14,18 +14,28 @@ KEY = digest_of(b"the action")
 
 def write(folder: Path) -> None:
     """How `format_1` was made, by the first version of the store."""
-    from flexmap_tasks.engine.runs import write_last_run
-    from flexmap_tasks.store.artifact import Artifact
-    from flexmap_tasks.store.store import ActionRecord
-
     store = Store.open(folder)
     item = store.put_record(
-        ActionRecord(digest_of(b"the item"), {"stage": "split"}, Artifact.of({"a.json": store.put_blob(b"1\n")}), 0.5, "2026-11-22T04:00:00+00:00", "host")
+        ActionRecord(
+            digest_of(b"the item"),
+            {"stage": "split"},
+            Artifact.of({"a.json": store.put_blob(b"1\n")}),
+            0.5,
+            "2026-11-22T04:00:00+00:00",
+            "host",
+        )
     )
     files = {"split/a.json": store.put_blob(b"1\n"), "split/b.parquet": store.put_blob(bytes(range(256)))}
-    image = {"stage": "split", "params": {"x_m": 1.5, "name": "Straße"}, "inputs": {"map": "0" * 64}, "each": "tile"}
+    image = {
+        "stage": "split",
+        "params": {"x_m": 1.5, "name": "Straße"},
+        "inputs": {"map": "0" * 64},
+        "each": "tile",
+    }
     store.put_record(
-        ActionRecord(KEY, image, Artifact.of(files), 1.25, "2026-11-22T04:00:00+00:00", "host", {"a": item.key})
+        ActionRecord(
+            KEY, image, Artifact.of(files), 1.25, "2026-11-22T04:00:00+00:00", "host", {"a": item.key}
+        )
     )
     sources = {"split.map": {"path": "map.osm", "sha256": "0" * 64, "size": 3}}
     write_last_run(store, "garching", {"split": KEY}, "0123456789abcdef", sources)

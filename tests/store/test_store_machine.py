@@ -36,7 +36,12 @@ class Machine(RuleBasedStateMachine):
         shutil.rmtree(self.folder, ignore_errors=True)
 
     def files(self) -> list[Path]:
-        return sorted(p for part in ("objects", "actions", "runs") for p in (self.folder / part).rglob("*") if p.is_file())
+        return sorted(
+            p
+            for part in ("objects", "actions", "runs")
+            for p in (self.folder / part).rglob("*")
+            if p.is_file()
+        )
 
     @rule(content=CONTENTS, second=st.booleans())
     def put(self, content: bytes, second: bool) -> None:

@@ -20,6 +20,17 @@ SCRIPTS = (
 """In the order in which they stand in the page; they share one scope."""
 
 
+EDITOR_SCRIPTS = (
+    "data.js",
+    "words.js",
+    "canvas.js",
+    "layers.js",
+    "layers_map.js",
+    "editor.js",
+    "editor_main.js",
+)
+
+
 def text(name: str) -> str:
     """One file of the page."""
     return files(__name__).joinpath(name).read_text(encoding="utf-8")

@@ -1,0 +1,75 @@
+"""The page on which control points are picked, and what it is told after every change."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from flexmap_tasks.model.alignment import ControlPoints, RigidMotion, Warp
+from flexmap_tasks.model.arrays import Floats
+from flexmap_tasks.model.maps import LaneletMap
+from flexmap_tasks.model.projection import Projection
+from flexmap_tasks.model.tracks import GnssTrack, Trajectory
+from flexmap_tasks.report import decisions, drive, maps
+from flexmap_tasks.report.embed import Json, Texts, millimetres
+from flexmap_tasks.report.html import editor_page
+from flexmap_tasks.report.report import frame_of
+from flexmap_tasks.report.review_items import review_items
+
+
+def control_point_page(
+    title: str,
+    projection: Projection,
+    gnss: GnssTrack,
+    slam: Trajectory,
+    warp: Warp,
+    points: ControlPoints | None,
+    source_map: LaneletMap | None,
+) -> bytes:
+    """The editor for a drive; `warp` is the one now in force, `source_map` in the SLAM frame."""
+    texts = Texts()
+    start = Warp(warp.motion, None)
+    data: Json = {
+        "map": title,
+        "gnss": drive.gnss_of(gnss),
+        "slam": drive.slam_of(slam, gnss, warp),
+        "points": drive.points_of(points, warp, texts),
+        "sheet": drive.sheet_of(warp),
+        "before": maps.map_of(maps.moved(source_map, start), texts) if source_map is not None else None,
+        "after": None,
+        "review": decisions.review_of(review_items(None, None, None), texts),
+        "quality": [],
+        "frame": frame_of(projection, gnss.xyz_m[:, :2]),
+    }
+    data["texts"] = texts.table()
+    return editor_page(title, data)
+
+
+def preview(points: ControlPoints, warp: Warp, slam: Trajectory, gnss: GnssTrack) -> Json:
+    """What a warp would do: the track, its distance to the GNSS line, and how far the sheet stretches."""
+    moved = warp.apply(slam.xyz_m)[:, :2]
+    before, _ = drive.deviation(warp.motion.apply_xy(slam.xyz_m[:, :2]), gnss)
+    after, valid = drive.deviation(moved, gnss)
+    sheet = drive.sheet_of(warp)
+    return {
+        "track": millimetres(moved),
+        "before_rmse_m": _rms(before),
+        "after_rmse_m": _rms(after),
+        "valid_rmse_m": _rms(after[valid]),
+        "shift_m": np.hypot(*(points.target_xy_m - points.source_xy_m).T).tolist(),
+        "sheet": sheet,
+    }
+
+
+def left_out_error_m(source_xy_m: Floats, target_xy_m: Floats, others: Warp) -> float:
+    """How far a sheet made without a control point puts it from its target.
+
+    source_xy_m, target_xy_m : (2,) float64 in the map frame, the source after the rigid start
+    """
+    still = RigidMotion(np.eye(2), np.zeros(2), 1.0, 1.0, 0.0)
+    (moved,) = Warp(still, others.sheet).apply(np.array([[*source_xy_m, 0.0]]))
+    return float(np.hypot(*(moved[:2] - target_xy_m)))
+
+
+def _rms(values: Floats) -> float | None:
+    known = values[np.isfinite(values)]
+    return float(np.sqrt((known**2).mean())) if len(known) else None

@@ -1,0 +1,1 @@
+"""Control points picked by hand, in a browser, on this machine."""

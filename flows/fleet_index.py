@@ -1,0 +1,129 @@
+"""What an update found settled, so that the next one only looks whether anything moved: fleets of very many maps.
+
+One sealed document per fleet in the store. A map's line holds what its row was and what that depended on: its entry
+in the fleet file, its recordings, the files its run watched (with size, times and inode), what `latest` names, when
+something fetched from a server gets too old. Code and library versions count for all lines at once. Where
+anything differs, or a file is so young that its stamp may lie, the map is planned.
+"""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Iterable, Mapping
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+from flexmap_tasks.engine.finished import Look, Watched
+from flexmap_tasks.engine.libraries import library_versions
+from flexmap_tasks.errors import InputError
+from flexmap_tasks.fleet_config import FleetConfig, FleetMap
+from flexmap_tasks.store.artifact import canonical_json, digest_of, seal, unseal
+from flexmap_tasks.store.store import Store
+from flows.fleet_jobs import find_recordings
+
+FORMAT = 1
+YOUNG_NS = 2_000_000_000
+"""A file younger than this may still change within the resolution of its time stamps."""
+
+
+@dataclass(frozen=True, slots=True)
+class Settled:
+    """A map's line.
+
+    entry : digest of its part of the fleet file and of its recordings; files : stamp by path
+    latest : what `latest` named; expires_s : seconds since 1970, None for never; row : the row of the summary
+    """
+
+    entry: str
+    files: Mapping[str, Look]
+    latest: str | None
+    expires_s: float | None
+    row: Mapping[str, Any]
+
+
+class Index:
+    """The lines of one fleet by map; empty when code or libraries are not those it was written with."""
+
+    def __init__(self, store: Store, fleet: FleetConfig, made_with: str) -> None:
+        self._store, self._fleet, self._made_with = store, fleet, made_with
+        body = unseal(store.backend.get(_path(fleet)))
+        usable = body is not None and body.get("format") == FORMAT and body["made_with"] == made_with
+        self._lines: dict[str, dict[str, Any]] = body["lines"] if usable and body is not None else {}
+        self._shared = digest_of(canonical_json(fleet.parameters))
+
+    def row(self, entry: FleetMap) -> Mapping[str, Any] | None:
+        """The row of a map for which nothing moved; None when it has to be planned."""
+        line = self._lines.get(entry.name)
+        if line is None or (line["expires_s"] is not None and line["expires_s"] < time.time()):
+            return None
+        if any(look(path) != was for path, was in line["files"].items()):
+            return None
+        if _latest(self._store, entry.name) != line["latest"] or self._mark(entry)[0] != line["entry"]:
+            return None
+        row: Mapping[str, Any] = line["row"]
+        return row
+
+    def line(
+        self, entry: FleetMap, watched: Watched, expires_s: float | None, row: Mapping[str, Any]
+    ) -> Settled | None:
+        """A line for a map just settled; None when its files are too young to trust their stamps."""
+        mark, newest_ns = self._mark(entry)
+        config = look(str(entry.config))
+        files = {path: stamp for path, stamp in watched.files.items() if not path.endswith(".py")}
+        newest_ns = max(newest_ns, *config[1:3]) if config else time.time_ns()
+        if mark is None or not watched.steady or newest_ns > time.time_ns() - YOUNG_NS:
+            return None
+        return Settled(
+            mark, {**files, str(entry.config): config}, _latest(self._store, entry.name), expires_s, row
+        )
+
+    def write(self, entries: Iterable[FleetMap], new: Mapping[str, Settled]) -> None:
+        """Keep the lines of maps that are in the fleet, with those that are new."""
+        lines = {e.name: self._lines[e.name] for e in entries if e.name in self._lines}
+        lines |= {name: asdict(line) for name, line in new.items()}
+        if lines != self._lines:
+            body = {"format": FORMAT, "made_with": self._made_with, "lines": lines}
+            self._store.backend.put(_path(self._fleet), seal(body), replace=True)
+
+    def _mark(self, entry: FleetMap) -> tuple[str | None, int]:
+        """Digest of a map's entry and recordings, and the newest stamp of those; None while one is on its way."""
+        found: list[Any] = [self._shared, entry.model_dump(mode="json")]
+        newest_ns = 0
+        if entry.recordings is not None:
+            try:
+                files, moving = find_recordings(entry.recordings, time.time())
+            except InputError:
+                return None, 0
+            looks = [look(str(file)) for file in files]
+            if moving or not all(looks):
+                return None, 0
+            found.append([[str(file), stamp] for file, stamp in zip(files, looks, strict=True)])
+            newest_ns = max((max(stamp[1:3]) for stamp in looks), default=0)
+        return digest_of(canonical_json(found)), newest_ns
+
+
+def made_with() -> str:
+    """Digest over the stamps of our code and the versions of the libraries."""
+    root = Path(__file__).resolve().parents[1]
+    code = sorted(str(p) for package in ("flexmap_tasks", "flows") for p in (root / package).rglob("*.py"))
+    return digest_of(canonical_json([[[path, look(path)] for path in code], library_versions(), sys.version]))
+
+
+def look(path: str) -> Look:
+    """Size, time of last write, time of last change, inode; empty when there is no such file."""
+    try:
+        stat = Path(path).stat()
+    except OSError:
+        return []
+    return [stat.st_size, stat.st_mtime_ns, stat.st_ctime_ns, stat.st_ino]
+
+
+def _latest(store: Store, name: str) -> str | None:
+    latest = store.releases / name / "latest"
+    return latest.readlink().name if latest.is_symlink() else None
+
+
+def _path(fleet: FleetConfig) -> str:
+    return f"fleets/{fleet.name}.json"

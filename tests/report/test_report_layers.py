@@ -1,0 +1,189 @@
+"""The layers of a release, read by the tools of others."""
+
+from __future__ import annotations
+
+import dataclasses
+import io
+import json
+import xml.etree.ElementTree as ET
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import osmium
+import pytest
+import shapely
+from mcap.reader import make_reader
+from report_runs import garching as garching_config
+from report_runs import inputs_of
+from test_report_browser import poisoned
+
+from flexmap_tasks.formats.osm_xml import parse_osm_xml
+from flexmap_tasks.report.exports import LOOKS, export_layers
+
+pyogrio = pytest.importorskip("pyogrio", reason="pyogrio is not installed: pip install pyogrio")
+KML = "{http://www.opengis.net/kml/2.2}"
+
+
+@pytest.fixture(scope="module")
+def inputs(shared_data: Path) -> dict[str, Any]:
+    return inputs_of(garching_config(shared_data / "garching"), "export_layers")["export_layers"]
+
+
+@pytest.fixture(scope="module")
+def files(inputs: dict[str, Any]) -> dict[str, bytes]:
+    return export_layers(**inputs)
+
+
+@pytest.fixture(scope="module")
+def folder(files: dict[str, bytes], tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("layers")
+    for name, content in files.items():
+        (path / name).write_bytes(content)
+    return path
+
+
+def read(path: Path, layer: str | None = None) -> tuple[dict[str, Any], np.ndarray, dict[str, np.ndarray]]:
+    meta, _, wkb, columns = pyogrio.raw.read(path, layer=layer)
+    return meta, shapely.from_wkb(wkb), dict(zip(meta["fields"], columns, strict=True))
+
+
+def test_gdal_reads_every_layer_of_the_geopackage(folder: Path, inputs: dict[str, Any]) -> None:
+    found = dict(pyogrio.list_layers(folder / "flexmap.gpkg").tolist())
+    assert set(found) == set(LOOKS)
+    for name, kind in found.items():
+        meta, shapes, _ = read(folder / "flexmap.gpkg", name)
+        assert meta["crs"] == "EPSG:4326"
+        assert set(shapely.get_type_id(shapes)) == {{"Point": 0, "LineString": 1, "Polygon": 3}[kind]}
+        box = shapely.total_bounds(shapes)
+        assert 11.6 < box[0] <= box[2] < 11.75
+        assert 48.2 < box[1] <= box[3] < 48.3
+    info = pyogrio.read_info(folder / "flexmap.gpkg", layer="gnss_fixes")
+    assert info["features"] == len(inputs["gnss"])
+
+
+def test_lanelets_lie_where_the_map_has_them(folder: Path, inputs: dict[str, Any]) -> None:
+    _, shapes, columns = read(folder / "flexmap.gpkg", "lanelets")
+    xy = inputs["projection"].to_xy_m(shapely.get_coordinates(shapes))
+    nodes = inputs["final_map"].xyz_m[:, :2]
+    nearest = shapely.STRtree(shapely.points(nodes)).query_nearest(shapely.points(xy), all_matches=False)[1]
+    assert np.abs(nodes[nearest] - xy).max() < 1e-4
+    check = inputs["lane_check"]
+    verdicts = dict(zip(check.lanelet_id.tolist(), check.verdict.tolist(), strict=True))
+    assert [verdicts[i] for i in columns["id"].tolist()] == columns["lane_verdict"].tolist()
+    counted = sum(inputs["transfers"].action == "set")
+    assert columns["values_set"].sum() == counted
+
+
+def test_geojson_says_the_same_as_the_geopackage(folder: Path) -> None:
+    for name in LOOKS:
+        _, shapes, columns = read(folder / "flexmap.gpkg", name)
+        _, same, others = read(folder / f"{name}.geojson")
+        assert shapely.equals_exact(shapely.normalize(shapes), shapely.normalize(same), tolerance=1e-8).all()
+        assert set(columns) == set(others) - {"name"} | (set(columns) & {"name"})
+
+
+def test_the_qgis_project_points_to_layers_that_exist(folder: Path) -> None:
+    root = ET.fromstring((folder / "flexmap.qgs").read_bytes())
+    sources = [node.text or "" for node in root.iter("datasource")]
+    assert len(sources) == len(LOOKS)
+    for source in sources:
+        file, _, layer = source.partition("|layername=")
+        assert pyogrio.read_info(folder / file, layer=layer)["features"] > 0
+    ids = {node.text for node in root.findall("projectlayers/maplayer/id")}
+    assert ids == {node.get("id") for node in root.iter("layer-tree-layer")}
+    symbols = root.findall("projectlayers/maplayer/renderer-v2/symbols/symbol")
+    assert len(symbols) == sum(len(look.classes or (1,)) for look in LOOKS.values())
+
+
+def test_the_public_reader_reads_the_recording(files: dict[str, bytes], inputs: dict[str, Any]) -> None:
+    reader = make_reader(io.BytesIO(files["flexmap.mcap"]))
+    messages: dict[str, list[dict[str, Any]]] = {}
+    for schema, channel, message in reader.iter_messages():
+        assert schema is not None
+        assert json.loads(schema.data)["title"] == schema.name
+        messages.setdefault(channel.topic, []).append(json.loads(message.data))
+    assert len(messages["/gnss"]) == len(inputs["gnss"])
+    assert len(messages["/slam/aligned"]) == len(inputs["slam"])
+    last = messages["/slam/aligned"][-1]["pose"]["position"]
+    assert [last[axis] for axis in "xyz"] == inputs["aligned"].xyz_m[-1].tolist()
+    lines = [line for e in messages["/map/lanelets"][0]["entities"] for line in e["lines"]]
+    assert all(len(line["points"]) % 2 == 0 for line in lines)
+    assert len(json.loads(messages["/map/geojson"][0]["geojson"])["features"]) == len(
+        inputs["lane_check"].lanelet_id
+    )
+
+
+def test_evo_reads_the_trajectory(folder: Path, inputs: dict[str, Any]) -> None:
+    file_interface = pytest.importorskip("evo.tools.file_interface", reason="evo is not installed")
+    path = file_interface.read_kitti_poses_file(folder / "slam_aligned_kitti.txt")
+    assert np.allclose(path.positions_xyz, inputs["aligned"].xyz_m, atol=1e-5)
+
+
+def test_a_recording_with_time_gives_a_tum_file(inputs: dict[str, Any], tmp_path: Path) -> None:
+    file_interface = pytest.importorskip("evo.tools.file_interface", reason="evo is not installed")
+    stamps = 1_700_000_000_000_000_000 + np.arange(len(inputs["aligned"])) * 100_000_000
+    timed = dataclasses.replace(inputs["aligned"], stamp_ns=stamps)
+    content = export_layers(**inputs | {"aligned": timed})["slam_aligned_tum.txt"]
+    (tmp_path / "tum.txt").write_bytes(content)
+    path = file_interface.read_tum_trajectory_file(tmp_path / "tum.txt")
+    assert np.allclose(path.timestamps, stamps / 1e9)
+    assert np.allclose(path.positions_xyz, timed.xyz_m, atol=1e-8)
+
+
+def test_josm_layer_holds_every_lanelet_with_an_open_question(folder: Path, inputs: dict[str, Any]) -> None:
+    document = parse_osm_xml((folder / "review.osm").read_bytes(), "review.osm")
+    assert document.root["upload"] == "never"
+    _, _, review = read(folder / "flexmap.gpkg", "review")
+    wanted = {str(i) for i in review["lanelet_id"].tolist()}
+    assert set(document.ways.tags.column("flexmap:lanelet")) == wanted
+    assert (
+        document.ways.ref[document.ways.offset[:-1]] == document.ways.ref[document.ways.offset[1:] - 1]
+    ).all()
+    seen = [element.id for element in osmium.FileProcessor(str(folder / "review.osm"))]
+    assert len(seen) == len(document.nodes.id) + len(document.ways.id)
+    assert max(seen) < 0
+    assert all(len(value) <= 255 for value in document.ways.tags.value)
+
+
+def test_kml_is_well_formed_and_complete(files: dict[str, bytes], inputs: dict[str, Any]) -> None:
+    root = ET.fromstring(files["flexmap.kml"])
+    folders = {f.findtext(f"{KML}name"): len(f.findall(f"{KML}Placemark")) for f in root.iter(f"{KML}Folder")}
+    assert folders["lanelets"] == len(inputs["lane_check"].lanelet_id)
+    assert folders["tracks"] == 3
+
+
+def test_issues_have_the_validators_shape(files: dict[str, bytes], inputs: dict[str, Any]) -> None:
+    found = json.loads(files["issues.json"])["requirements"]
+    assert {r["id"] for r in found} == {"flexmap-map", "flexmap-conflation", "flexmap-bundle"}
+    issues = [i for r in found for v in r["validators"] for i in v.get("issues", [])]
+    assert len(issues) == len(inputs["transfer_findings"]) + len(inputs["map_findings"])
+    assert {frozenset(i) for i in issues} == {
+        frozenset({"severity", "primitive", "id", "issue_code", "message"})
+    }
+    for requirement in found:
+        assert requirement["passed"] == all(v["passed"] for v in requirement["validators"])
+
+
+def test_hostile_text_passes_through_every_format(inputs: dict[str, Any], tmp_path: Path) -> None:
+    files = export_layers(**poisoned(inputs))
+    for name in ("flexmap.kml", "flexmap.qgs", "review.osm"):
+        ET.fromstring(files[name])
+    (tmp_path / "p.gpkg").write_bytes(files["flexmap.gpkg"])
+    _, _, columns = read(tmp_path / "p.gpkg", "review")
+    assert any("</script>" in reason for reason in columns["reason"])
+    for name, content in files.items():
+        if name.endswith(".geojson"):
+            json.loads(content)
+
+
+def test_the_same_run_gives_the_same_bytes(inputs: dict[str, Any], files: dict[str, bytes]) -> None:
+    assert export_layers(**inputs) == files
+
+
+def test_a_drive_without_maps_still_gives_its_tracks(inputs: dict[str, Any]) -> None:
+    names = ("control_points", "source_map", "final_map", "roads", "matches", "transfers", "lane_check",
+             "map_findings", "transfer_findings", "bundle_findings")  # fmt: skip
+    files = export_layers(**inputs | dict.fromkeys(names))
+    assert {"flexmap.gpkg", "flexmap.qgs", "flexmap.mcap", "tracks.geojson"} <= set(files)
+    assert "review.osm" not in files
