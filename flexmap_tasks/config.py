@@ -205,7 +205,9 @@ class GraphHeldOutParams(Params):
     """GNSS withheld to see how far the pose graph is to be trusted."""
 
     block_m: Positive = Field(100.0, description="length of a withheld block")
-    folds: Annotated[int, Field(ge=2, le=50)] = Field(5, description="every so-many-th block is withheld at once")
+    folds: Annotated[int, Field(ge=2, le=50)] = Field(
+        5, description="every so-many-th block is withheld at once"
+    )
     graph: PoseGraphParams = PoseGraphParams()
 
 
@@ -215,8 +217,11 @@ class AlignmentParams(Params):
     master: Literal["gnss", "slam"] = Field(
         "gnss", description="the frame that stays; slam moves OSM instead"
     )
-    method: Literal["rigid", "rubber_sheet"] = "rubber_sheet"
+    method: Literal["pose_graph", "rubber_sheet", "rigid"] = Field(
+        "pose_graph", description="rubber_sheet is the paper's and needs control points; rigid bends nothing"
+    )
     control_points_file: Path | None = Field(None, description="CSV of pairs, see README")
+    pose_graph: PoseGraphParams = PoseGraphParams()
     umeyama: UmeyamaParams = UmeyamaParams()
     control_points: ControlPointsParams = ControlPointsParams()
     rubber_sheet: RubberSheetParams = RubberSheetParams()
@@ -254,7 +259,8 @@ class PathParams(Params):
     detour_m: Positive = Field(4.0, description="metres of detour per unit of misfit")
     wrong_way_cost: NonNegative = Field(2.0, description="misfit for driving against a one-way road")
     level_cost: NonNegative = Field(
-        2.0, description="misfit for the lower of two roads above each other on a bridge, or the upper below it"
+        2.0,
+        description="misfit for the lower of two roads above each other on a bridge, or the upper below it",
     )
     minor_cost: NonNegative = Field(0.5, description="misfit for service roads for few, and private roads")
     rounds: Annotated[int, Field(ge=1, le=10)] = Field(3, description="estimates of displacement and scatter")
@@ -398,6 +404,9 @@ class ConflationParams(Params):
     collapse: CollapseParams = CollapseParams()
     match: MatchParams = MatchParams()
     transfer: TransferParams = TransferParams()
+    review_file: Path | None = Field(
+        None, description="CSV of people's decisions on values up for review, as the report saves it"
+    )
 
 
 # --- output -------------------------------------------------------------------------------------
@@ -417,6 +426,15 @@ class EvaluationParams(Params):
 
     deviation_rmse_max_m: Positive | None = Field(None, description="over all poses, after the warp")
     match_rate_min: Share | None = Field(None, description="share of reference polylines with a match")
+    sigma_max_m: Positive | None = Field(None, description="largest predicted deviation of a pose, per axis")
+    held_out_rmse_max_m: Positive | None = Field(None, description="error on withheld GNSS")
+    held_out_block_m: NonNegative = Field(
+        100.0,
+        description="GNSS withheld in blocks of this length to see how far the pose graph can be trusted; 0 for none",
+    )
+    held_out_folds: Annotated[int, Field(ge=2, le=50)] = Field(
+        5, description="every so-many-th block at once"
+    )
     short_reference_m: NonNegative = Field(1.5, description="shorter references are left out of statistics")
     true_positive_score: Share = Field(0.8, description="the paper's self-score for a true positive")
 

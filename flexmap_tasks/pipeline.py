@@ -9,12 +9,15 @@ from typing import Any, TypeVar
 from flexmap_tasks.alignment.align_track import align_track
 from flexmap_tasks.alignment.cloud_extent import cloud_extent
 from flexmap_tasks.alignment.control_points import control_points
+from flexmap_tasks.alignment.heldout import heldout
+from flexmap_tasks.alignment.pose_graph import antenna_track, pose_graph, pose_graph_warp
 from flexmap_tasks.alignment.project import project_utm
 from flexmap_tasks.alignment.rubber_sheet import rigid_warp, rubber_sheet
 from flexmap_tasks.alignment.umeyama import umeyama
 from flexmap_tasks.config import (
     FlexMapConfig,
     GnssParams,
+    GraphHeldOutParams,
     OsmInput,
     OsmRoadsParams,
     Params,
@@ -25,6 +28,7 @@ from flexmap_tasks.config import (
 from flexmap_tasks.conflation.collapse import collapse
 from flexmap_tasks.conflation.match import match
 from flexmap_tasks.conflation.place_roads import place_roads
+from flexmap_tasks.conflation.review import apply_review
 from flexmap_tasks.conflation.transfer import transfer
 from flexmap_tasks.engine.graph import Graph, Ref, SourceRef
 from flexmap_tasks.evaluation.quality import evaluate
@@ -45,6 +49,24 @@ M = TypeVar("M", bound=Params)
 
 
 @dataclass(frozen=True, slots=True)
+class Drive:
+    """What alignment starts from."""
+
+    projection: Ref
+    gnss_track: Ref
+    slam: Ref
+
+
+@dataclass(frozen=True, slots=True)
+class Adjusted:
+    """The pose graph, its antenna track, and its errors on withheld GNSS."""
+
+    graph: Ref
+    antenna: Ref
+    held_out: Ref | None
+
+
+@dataclass(frozen=True, slots=True)
 class Aligned:
     """The drive in the map frame, and the warp that brought it there."""
 
@@ -54,6 +76,7 @@ class Aligned:
     control_points: Ref | None
     warp: Ref
     track: Ref
+    adjusted: Adjusted | None
 
 
 @dataclass(frozen=True, slots=True)
@@ -150,10 +173,11 @@ def _align(
     alignment = config.alignment
     projected = graph.run(project_utm, config.projection, fixes=fixes)
     projection, gnss = projected.field("projection"), projected.field("gnss_track")
-    motion = graph.run(umeyama, alignment.umeyama, slam=slam, gnss=gnss, projection=projection)
-    points = None
-    if alignment.method == "rubber_sheet":
-        assert alignment.control_points_file is not None  # noqa: S101 - checked by FlexMapConfig
+    motion = points = adjusted = None
+    if alignment.method != "pose_graph" or alignment.control_points_file is not None:
+        motion = graph.run(umeyama, alignment.umeyama, slam=slam, gnss=gnss, projection=projection)
+        graph.publish("alignment.json", motion)
+    if alignment.method != "rigid" and alignment.control_points_file is not None:
         points = graph.run(
             control_points,
             alignment.control_points,
@@ -163,6 +187,12 @@ def _align(
             motion=motion,
             projection=projection,
         )
+        graph.publish("control_points.parquet", points)
+    if alignment.method == "pose_graph":
+        adjusted = _adjust(graph, config, Drive(projection, gnss, slam), points, motion)
+        warp = graph.run(pose_graph_warp, alignment.pose_graph, graph=adjusted.graph)
+    elif alignment.method == "rubber_sheet":
+        extent = graph.run(cloud_extent, index=tiles.field("index")) if tiles else None
         warp = graph.run(
             rubber_sheet,
             alignment.rubber_sheet,
@@ -170,18 +200,49 @@ def _align(
             motion=motion,
             slam=slam,
             lanelet_map=lanelets,
-            cloud_extent=graph.run(cloud_extent, index=tiles.field("index")) if tiles else None,
+            cloud_extent=extent,
         )
-        graph.publish("control_points.parquet", points)
     else:
         warp = graph.run(rigid_warp, motion=motion)
     graph.publish("projection.json", projection)
-    graph.publish("alignment.json", motion)
     graph.publish("gnss_track.parquet", gnss)
     graph.publish("slam_track_before.parquet", slam)
     aligned_track = graph.run(align_track, slam=slam, warp=warp)
     graph.publish("slam_track_after.parquet", aligned_track)
-    return Aligned(projection, gnss, slam, points, warp, aligned_track)
+    return Aligned(projection, gnss, slam, points, warp, aligned_track, adjusted)
+
+
+def _adjust(
+    graph: Graph, config: FlexMapConfig, drive: Drive, points: Ref | None, motion: Ref | None
+) -> Adjusted:
+    """The pose graph, where it puts the antenna, and how it does on GNSS that it was not told of."""
+    params, evaluation = config.alignment.pose_graph, config.evaluation
+    adjusted = graph.run(
+        pose_graph,
+        params,
+        slam=drive.slam,
+        gnss=drive.gnss_track,
+        projection=drive.projection,
+        points=points,
+        points_motion=motion if points else None,
+    )
+    graph.publish("pose_graph.json", adjusted.field("figures"))
+    graph.publish("pose_graph_nodes.parquet", adjusted.field("nodes"))
+    graph.publish("gnss_use.parquet", adjusted.field("gnss_use"))
+    antenna = graph.run(antenna_track, graph=adjusted)
+    withheld = None
+    if evaluation.held_out_block_m > 0:
+        withheld = graph.run(
+            heldout,
+            GraphHeldOutParams(
+                block_m=evaluation.held_out_block_m, folds=evaluation.held_out_folds, graph=params
+            ),
+            slam=drive.slam,
+            gnss=drive.gnss_track,
+            projection=drive.projection,
+        )
+        graph.publish("held_out.parquet", withheld)
+    return Adjusted(adjusted, antenna, withheld)
 
 
 def _conflate(graph: Graph, config: FlexMapConfig, lanelets: Ref, roads: Ref, aligned: Aligned) -> Conflated:
@@ -203,6 +264,8 @@ def _conflate(graph: Graph, config: FlexMapConfig, lanelets: Ref, roads: Ref, al
         matches=matched.field("matches"),
         roads=placed,
     )
+    if conflation.review_file is not None:
+        enriched = graph.run(apply_review, enriched=enriched, source=SourceRef(conflation.review_file))
     graph.publish("matches.parquet", matched.field("matches"))
     graph.publish("transfer.parquet", enriched.field("transfers"))
     graph.publish("lane_check.parquet", enriched.field("lane_check"))
@@ -240,13 +303,18 @@ def _check_bundle(graph: Graph, bundle: Ref, cloud: Cloud | None) -> Ref:
 def _evaluate(
     graph: Graph, config: FlexMapConfig, aligned: Aligned, lanelets: Ref | None, conflated: Conflated | None
 ) -> Ref:
-    enriched = conflated.enriched if conflated else None
+    enriched, adjusted = conflated.enriched if conflated else None, aligned.adjusted
     quality = graph.run(
         evaluate,
         config.evaluation,
         slam=aligned.slam,
         gnss=aligned.gnss_track,
         warp=aligned.warp,
+        antenna=adjusted.antenna if adjusted else None,
+        graph_figures=adjusted.graph.field("figures") if adjusted else None,
+        graph_nodes=adjusted.graph.field("nodes") if adjusted else None,
+        gnss_use=adjusted.graph.field("gnss_use") if adjusted else None,
+        held_out=adjusted.held_out if adjusted else None,
         control_points=aligned.control_points,
         references=conflated.matched.field("references") if conflated else None,
         transfers=enriched.field("transfers") if enriched else None,
@@ -280,7 +348,16 @@ def _report(graph: Graph, config: FlexMapConfig, drawn: Drawn) -> None:
         "bundle_findings": drawn.bundle_findings,
     }
     params = only(ReportParams, config)
-    graph.publish(".", graph.run(report, params, quality=drawn.quality, **shown))
+    adjusted = aligned.adjusted
+    page = graph.run(
+        report,
+        params,
+        quality=drawn.quality,
+        gnss_use=adjusted.graph.field("gnss_use") if adjusted else None,
+        held_out=adjusted.held_out if adjusted else None,
+        **shown,
+    )
+    graph.publish(".", page)
     graph.publish("layers/", graph.run(export_layers, params, aligned=aligned.track, **shown))
 
 

@@ -79,7 +79,6 @@ def demo(store: str, *, through_prefect: bool) -> None:
         "lanelet_map.file": "lanelet2_map.osm",
         "point_cloud.file": "pointcloud_map.pcd",
         "osm.file": "osm_extract.osm",
-        "alignment.control_points_file": "control_points.csv",
     }
     overrides = [f"{key}={folder / name}" for key, name in inputs.items()]
     run(PROJECT / "configs" / "demo.yaml", overrides, store, through_prefect=through_prefect)

@@ -6,6 +6,7 @@ import contextlib
 import os
 import socket
 import time
+import typing
 from collections.abc import Callable, Iterable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
@@ -115,7 +116,8 @@ class Engine:
         if bound.source is not None:
             return Source(bound.name, bound.source.path)
         if bound.keys is not None:
-            return kind(strings(bound.keys))
+            keys_of = next((a for a in typing.get_args(kind) if a is not type(None)), kind)
+            return keys_of(strings(bound.keys))
         key = (bound.digest, bound.name, repr(kind))
         if key not in self._values:
             self._values[key] = decode(kind, ArtifactFiles(self.store, bound.artifact), bound.name)

@@ -94,7 +94,7 @@ def still_finished(store: Store, config: Params, releases: Path) -> Finished | N
     if body["code"] != [str(path) for path in _code_files()] or _expired(body["expires"]):
         return None
     watched = {**body["files"], **body["released"]}
-    if any(_look(Path(path)) != look for path, look in watched.items()):
+    if any(_look(path) != look for path, look in watched.items()):
         return None
     folder = Path(body["folder"])
     release = body["release"]
@@ -118,9 +118,9 @@ def _code_files() -> list[Path]:
     return found
 
 
-def _look(path: Path) -> Look:
+def _look(path: Path | str) -> Look:
     try:
-        stat = path.stat()
+        stat = os.stat(path)  # noqa: PTH116 - asked of every file: a Path costs more than the answer
     except OSError:
         return []
     return [stat.st_size, stat.st_mtime_ns, stat.st_ctime_ns, stat.st_ino]

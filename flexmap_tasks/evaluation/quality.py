@@ -9,12 +9,15 @@ import numpy as np
 from flexmap_tasks.config import EvaluationParams
 from flexmap_tasks.engine.stage import stage
 from flexmap_tasks.evaluation.deviation import deviation
+from flexmap_tasks.evaluation.graph_quality import graph_measures
 from flexmap_tasks.evaluation.summary import measures_of, statistics
 from flexmap_tasks.geometry.sheet import affine_maps
 from flexmap_tasks.model.alignment import ControlPoints, RigidMotion, Warp
+from flexmap_tasks.model.arrays import Floats
 from flexmap_tasks.model.conflation import LaneCheck, References, Transfers
 from flexmap_tasks.model.maps import Findings
 from flexmap_tasks.model.match_statistics import match_statistics
+from flexmap_tasks.model.pose_graph import GnssUse, GraphFigures, GraphNodes, HeldOut
 from flexmap_tasks.model.quality import Measure, Quality
 from flexmap_tasks.model.tracks import GnssTrack, Trajectory
 
@@ -28,6 +31,11 @@ def evaluate(
     slam: Trajectory,
     gnss: GnssTrack,
     warp: Warp,
+    antenna: Trajectory | None,
+    graph_figures: GraphFigures | None,
+    graph_nodes: GraphNodes | None,
+    gnss_use: GnssUse | None,
+    held_out: HeldOut | None,
     control_points: ControlPoints | None,
     references: References | None,
     transfers: Transfers | None,
@@ -39,10 +47,14 @@ def evaluate(
     """The figures of a map update.
 
     slam : the poses in their own frame; gnss : the fixes in the map frame; warp : from the one to the other
+    antenna : the poses of the antenna where the alignment knows its lever arm: these are compared with the GNSS
     The rest is None where the run had no such step.
     """
-    measures = [*_deviations(slam, gnss, warp, params), *_alignment(warp)]
-    if control_points is not None:
+    after_m = warp.apply(slam.xyz_m) if antenna is None else antenna.xyz_m
+    measures = [*_deviations(slam, gnss, warp, after_m, params), *_alignment(warp)]
+    if graph_figures is not None and graph_nodes is not None and gnss_use is not None:
+        measures += graph_measures(graph_figures, graph_nodes, gnss_use, held_out, params)
+    if control_points is not None and warp.sheet is not None:
         measures += _residuals(control_points, warp)
     if references is not None:
         measures += _matching(references, params)
@@ -57,14 +69,17 @@ def evaluate(
     return Quality(tuple(measures))
 
 
-def _deviations(slam: Trajectory, gnss: GnssTrack, warp: Warp, params: EvaluationParams) -> Iterator[Measure]:
+def _deviations(
+    slam: Trajectory, gnss: GnssTrack, warp: Warp, after_m: Floats, params: EvaluationParams
+) -> Iterator[Measure]:
     """Before: after the rigid start alone. Which poses have valid GNSS is seen from where the warp puts them."""
-    after = deviation(warp.apply(slam.xyz_m), gnss)
+    after = deviation(after_m, gnss)
     before = deviation(warp.motion.apply_xy(slam.xyz_m[:, :2]), gnss)
+    valid = deviation(warp.apply(slam.xyz_m), gnss).valid
     yield _count("poses", np.ones(len(slam), dtype=bool))
-    yield _count("poses_with_valid_gnss", after.valid)
+    yield _count("poses_with_valid_gnss", valid)
     yield from measures_of("deviation_before_all", before.distance_m)
-    yield from measures_of("deviation_before_valid", before.distance_m[after.valid])
+    yield from measures_of("deviation_before_valid", before.distance_m[valid])
     for measure in measures_of("deviation_after_all", after.distance_m):
         judged = measure.name == "deviation_after_all_rmse"
         limit = params.deviation_rmse_max_m if judged else None

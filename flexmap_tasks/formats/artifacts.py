@@ -12,7 +12,7 @@ import functools
 import json
 import types
 import typing
-from collections.abc import Iterator, Mapping
+from collections.abc import Hashable, Iterator, Mapping
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -130,8 +130,10 @@ class _Shape:
 
 
 @functools.cache
-def _shape(kind: Any) -> _Shape:
-    hints = {f.name: typing.get_type_hints(kind)[f.name] for f in dataclasses.fields(kind)}
+def _shape(kind: Hashable) -> _Shape:
+    hints = {
+        f.name: typing.get_type_hints(kind)[f.name] for f in dataclasses.fields(typing.cast("Any", kind))
+    }
     if getattr(kind, "as_json", False):
         return _Shape({}, None, {}, hints, ())
     nested = {n: k for n, k in hints.items() if _is_nested(k)}
@@ -143,7 +145,7 @@ def _shape(kind: Any) -> _Shape:
 
 
 def _encode_dataclass(value: Any, name: str) -> Iterator[tuple[str, bytes]]:
-    shape = _shape(type(value))
+    shape = _shape(typing.cast("Hashable", type(value)))
     table = f"{name}.parquet" if shape.plain else f"{name}/rows.parquet"
     scalars = f"{name}.json" if shape.plain else f"{name}/values.json"
     if shape.columns or shape.field_dict:

@@ -111,7 +111,12 @@ def _write(table: pa.Table) -> bytes:
     floats = [f.name for f in table.schema if pa.types.is_floating(f.type)]
     sink = io.BytesIO()
     pq.write_table(
-        table, sink, compression="zstd", compression_level=1, use_dictionary=text, use_byte_stream_split=floats
+        table,
+        sink,
+        compression="zstd",
+        compression_level=1,
+        use_dictionary=text,
+        use_byte_stream_split=floats,
     )
     return sink.getvalue()
 

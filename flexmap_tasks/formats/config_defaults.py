@@ -17,7 +17,10 @@ INDENT = "  "
 
 def defaults_yaml(kind: type[BaseModel]) -> str:
     """Every setting of `kind`: required ones are named as such, optional sections are commented out."""
-    head = [f"# {_first_line(kind)}", "# Every setting with its default; written by `flexmap defaults`, do not edit."]
+    head = [
+        f"# {_first_line(kind)}",
+        "# Every setting with its default; written by `flexmap defaults`, do not edit.",
+    ]
     return "\n".join([*head, *_section(kind)]) + "\n"
 
 

@@ -101,9 +101,8 @@ def _refuse_depth(text: str, source: str) -> None:
         elif isinstance(event, yaml.CollectionEndEvent):
             depth -= 1
         if depth > MAX_DEPTH:
-            raise ConfigError(
-                source, f"is nested deeper than {MAX_DEPTH} levels", f"line {event.start_mark.line + 1}"
-            )
+            line = f"line {event.start_mark.line + 1}" if event.start_mark else None
+            raise ConfigError(source, f"is nested deeper than {MAX_DEPTH} levels", line)
 
 
 def _readable(error: Mapping[str, Any]) -> str:

@@ -10,8 +10,8 @@ import numpy as np
 from flexmap_tasks.geometry import blend
 from flexmap_tasks.model.arrays import Floats, Ints
 
-_PAGES = 4096
-"""Blocks of the lattice held at a time: 550 MB."""
+_PAGES = 1024
+"""Blocks of the lattice held at a time: 140 MB."""
 
 _UNDO_ROUNDS, _UNDO_M = 60, 1e-10
 """Walking backwards gains a digit or two per round where the plane is bent by some per cent."""

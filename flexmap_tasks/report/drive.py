@@ -7,7 +7,8 @@ import numpy as np
 from flexmap_tasks.geometry.polyline import arc_length_m, nearest_on_polyline
 from flexmap_tasks.geometry.sheet import affine_maps
 from flexmap_tasks.model.alignment import ControlPoints, RigidMotion, Warp
-from flexmap_tasks.model.arrays import Bools, Floats, Ints
+from flexmap_tasks.model.arrays import Bools, Floats, Ints, strings
+from flexmap_tasks.model.pose_graph import GnssUse, HeldOut
 from flexmap_tasks.model.tracks import GnssTrack, Trajectory
 from flexmap_tasks.report.embed import Json, Texts, millimetres, numbers
 
@@ -17,21 +18,25 @@ MOST_ROWS = 40_000
 TIE_M = 1e-6
 
 
-def gnss_of(gnss: GnssTrack) -> Json:
-    """Fixes by row: place, horizontal sigma, status, and whether the step to it was observed."""
+def gnss_of(gnss: GnssTrack, use: GnssUse | None, texts: Texts) -> Json:
+    """Fixes by row: place, horizontal sigma, status, whether the step to it was observed, and why it was left out."""
     rows = _thinned(len(gnss))
+    why = strings([""] * len(gnss)) if use is None else np.where(use.used, "", use.reason)
     sigma = np.hypot(gnss.sigma_m[:, 0], gnss.sigma_m[:, 1])[rows]
     return {
         "xy": millimetres(gnss.xyz_m[rows]),
         "sigma": numbers(np.where(np.isfinite(sigma), sigma, -1.0), "f4"),
         "status": numbers(gnss.status[rows], "i4"),
         "observed": numbers(_kept_breaks(gnss.observed, rows), "u1"),
+        "left_out": texts.column(why[rows]),
         "count": len(gnss),
     }
 
 
-def slam_of(slam: Trajectory, gnss: GnssTrack, warp: Warp) -> Json:
-    """Poses by row: after the rigid start, after the warp, metres driven, and both distances to the GNSS line."""
+def slam_of(slam: Trajectory, gnss: GnssTrack, warp: Warp, held_out: HeldOut | None) -> Json:
+    """Poses by row: after the rigid start, after the warp, metres driven, both distances to the GNSS line, what the
+    warp itself predicts, and the distance to GNSS that was withheld; -1 where a figure is not known.
+    """
     rows = _thinned(len(slam))
     before = warp.motion.apply_xy(slam.xyz_m[:, :2])
     after = warp.apply(slam.xyz_m)[:, :2]
@@ -43,6 +48,8 @@ def slam_of(slam: Trajectory, gnss: GnssTrack, warp: Warp) -> Json:
         "deviation_before": numbers(_known(deviation(before[rows], gnss)[0]), "f4"),
         "deviation_after": numbers(_known(distance), "f4"),
         "valid": numbers(valid, "u1"),
+        "sigma": numbers(_known(warp.sigma_m(slam.xyz_m)[rows]), "f4"),
+        "held_out": numbers(_withheld(held_out, rows), "f4"),
         "count": len(slam),
     }
 
@@ -82,6 +89,15 @@ def sheet_of(warp: Warp) -> Json | None:
 
 def _thinned(count: int) -> Ints:
     return np.arange(0, count, max(1, -(-count // MOST_ROWS)), dtype=np.int64)
+
+
+def _withheld(held_out: HeldOut | None, rows: Ints) -> Floats:
+    """(n,) withheld distances at the drawn rows next before them."""
+    out = np.full(len(rows), -1.0)
+    if held_out is not None and len(rows):
+        place = np.clip(np.searchsorted(rows, held_out.row, side="right") - 1, 0, None)
+        out[place] = _known(held_out.distance_m)
+    return out
 
 
 def _kept_breaks(observed: Bools, rows: Ints) -> Bools:

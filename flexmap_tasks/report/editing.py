@@ -24,14 +24,19 @@ def control_point_page(
     warp: Warp,
     points: ControlPoints | None,
     source_map: LaneletMap | None,
+    method: str,
 ) -> bytes:
-    """The editor for a drive; `warp` is the one now in force, `source_map` in the SLAM frame."""
+    """The editor for a drive; `warp` is the one now in force, `source_map` in the SLAM frame.
+
+    method : how runs align; whatever it is, the page shows what the pairs do as a rubber sheet
+    """
     texts = Texts()
     start = Warp(warp.motion, None)
     data: Json = {
         "map": title,
-        "gnss": drive.gnss_of(gnss),
-        "slam": drive.slam_of(slam, gnss, warp),
+        "method": method,
+        "gnss": drive.gnss_of(gnss, None, texts),
+        "slam": drive.slam_of(slam, gnss, warp, None),
         "points": drive.points_of(points, warp, texts),
         "sheet": drive.sheet_of(warp),
         "before": maps.map_of(maps.moved(source_map, start), texts) if source_map is not None else None,

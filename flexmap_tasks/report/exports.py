@@ -135,7 +135,9 @@ def export_layers(
 
 
 def _vector_files(title: str, layers: Sequence[VectorLayer]) -> dict[str, bytes]:
-    bounds = np.array([shapely.total_bounds(layer.geometry) for layer in layers if layer.name != "osm_roads"])
+    bounds = np.array(
+        [shapely.total_bounds(layer.geometry) for layer in layers if len(layer) and layer.name != "osm_roads"]
+    )
     known = bounds[np.isfinite(bounds).all(axis=1)].reshape(-1, 4)
     extent = (
         [*known[:, :2].min(axis=0), *known[:, 2:].max(axis=0)] if len(known) else [-180.0, -90.0, 180.0, 90.0]

@@ -12,6 +12,7 @@ from flexmap_tasks.model.alignment import ControlPoints, RigidMotion, Warp
 from flexmap_tasks.model.arrays import Floats
 from flexmap_tasks.model.conflation import LaneCheck, Matches, Transfers
 from flexmap_tasks.model.maps import Findings, LaneletMap, RoadNetwork
+from flexmap_tasks.model.pose_graph import GnssUse, HeldOut
 from flexmap_tasks.model.projection import Projection
 from flexmap_tasks.model.quality import Quality
 from flexmap_tasks.model.tracks import GnssTrack, Trajectory
@@ -34,6 +35,8 @@ def report(
     warp: Warp,
     quality: Quality,
     control_points: ControlPoints | None,
+    gnss_use: GnssUse | None,
+    held_out: HeldOut | None,
     source_map: LaneletMap | None,
     final_map: LaneletMap | None,
     map_warp: Warp | None,
@@ -58,8 +61,8 @@ def report(
     final = maps.moved(final_map, map_warp) if final_map is not None and map_warp is not None else final_map
     findings = [f for f in (map_findings, transfer_findings, bundle_findings) if f is not None]
     data: Json = {
-        "gnss": drive.gnss_of(gnss),
-        "slam": drive.slam_of(slam, gnss, warp),
+        "gnss": drive.gnss_of(gnss, gnss_use, texts),
+        "slam": drive.slam_of(slam, gnss, warp, held_out),
         "points": drive.points_of(control_points, warp, texts),
         "sheet": drive.sheet_of(warp),
         "before": maps.map_of(maps.moved(source_map, start), texts) if source_map is not None else None,

@@ -117,7 +117,7 @@ class FolderBackend:
 
     def _stat(self, key: str) -> os.stat_result | None:
         try:
-            return (self.root / key).stat()
+            return os.stat(f"{self.url}/{key}")  # noqa: PTH116 - asked of every blob: a Path costs more than the answer
         except (FileNotFoundError, NotADirectoryError):
             return None
         except OSError as error:

@@ -62,7 +62,14 @@ class EditSession:
             self._digest, self._points = self._read()
             warp = self._warp(self._points) if self._points is not None else Warp(self._motion, None)
             return control_point_page(
-                self._config.map, self._projection, self._gnss, self._slam, warp, self._points, self._map
+                self._config.map,
+                self._projection,
+                self._gnss,
+                self._slam,
+                warp,
+                self._points,
+                self._map,
+                self._config.alignment.method,
             )
 
     def preview(self, sent: Any) -> dict[str, Any]:

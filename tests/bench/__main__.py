@@ -65,7 +65,10 @@ def garching() -> None:
     cpu = best_cpu_s(whole)
     show(
         "Garching, recording to finished map, empty store",
-        [("CPU", f"{cpu:.2f} s", ""), ("share of the peer's 13 s", f"{cpu / PEER_CPU_S:.2f}", "at most 0.20")],
+        [
+            ("CPU", f"{cpu:.2f} s", ""),
+            ("share of the peer's 13 s", f"{cpu / PEER_CPU_S:.2f}", "at most 0.20"),
+        ],
     )
 
     with tempfile.TemporaryDirectory() as folder:

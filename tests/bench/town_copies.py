@@ -39,7 +39,9 @@ def copies_of_map(one: LaneletMap, count: int) -> LaneletMap:
     )  # fmt: skip
     shift = np.repeat(np.arange(count) * SPACING_M, len(one.xyz_m))
     xyz_m = np.tile(one.xyz_m, (count, 1)) + np.column_stack([shift, 0 * shift, 0 * shift])
-    none = Findings(*(np.empty(0, dtype=object) for _ in range(3)), np.empty(0, dtype=np.int64), np.empty(0, dtype=object))
+    none = Findings(
+        *(np.empty(0, dtype=object) for _ in range(3)), np.empty(0, dtype=np.int64), np.empty(0, dtype=object)
+    )
     return LaneletMap(many, xyz_m, none)
 
 
@@ -54,7 +56,9 @@ def copies_of_roads(one: PlacedRoads, count: int) -> PlacedRoads:
         _tags(network.tags, count),
     )  # fmt: skip
     shift = np.repeat(np.arange(count) * SPACING_M, len(one.xy_m))
-    return replace(one, network=many, xy_m=np.tile(one.xy_m, (count, 1)) + np.column_stack([shift, 0 * shift]))
+    return replace(
+        one, network=many, xy_m=np.tile(one.xy_m, (count, 1)) + np.column_stack([shift, 0 * shift])
+    )
 
 
 def _ids(ids: Ints, add: list[int]) -> Ints:

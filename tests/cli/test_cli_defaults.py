@@ -25,7 +25,12 @@ def test_defaults_yaml_holds_the_defaults() -> None:
     data |= {"map": "x", "alignment": {**data["alignment"], "method": "rigid"}}
     config = FlexMapConfig.model_validate(data)
     bare = FlexMapConfig.model_validate(
-        {"map": "x", "gnss": {"file": "path/to/file"}, "slam": {"file": "path/to/file"}, "alignment": {"method": "rigid"}}
+        {
+            "map": "x",
+            "gnss": {"file": "path/to/file"},
+            "slam": {"file": "path/to/file"},
+            "alignment": {"method": "rigid"},
+        }
     )
     assert config == bare
 

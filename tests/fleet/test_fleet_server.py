@@ -89,6 +89,17 @@ def test_parameters_are_a_form_filled_in(first: Any, server: Server) -> None:
     assert schedules[0]["schedule"]["cron"] == "0 2 * * *"
 
 
+def test_the_schedule_makes_runs(first: Any, server: Server) -> None:
+    deadline, found = time.monotonic() + 120, []
+    while not found and time.monotonic() < deadline:
+        time.sleep(1)
+        state = {"type": {"any_": ["SCHEDULED"]}}
+        found = [
+            r for r in server.ask("/flow_runs/filter", flow_runs={"state": state}) if r["auto_scheduled"]
+        ]
+    assert {run["expected_start_time"][11:16] for run in found} == {"02:00"}
+
+
 def test_a_held_map_is_noted_and_new_recordings_start_an_update(
     first: Any, server: Server, root: Path
 ) -> None:

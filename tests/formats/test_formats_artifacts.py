@@ -137,4 +137,6 @@ def test_raw_files_and_sources():
     files = dict(encode({"b.osm": b"1", "a.yaml": b"2"}, "bundle"))
     assert files == {"a.yaml": b"2", "b.osm": b"1"}
     assert decode(dict[str, bytes], MemoryFiles(files), "bundle") == files
-    assert decode(Source, MemoryFiles({"extract.osm": b"1"}), "x") == Source("extract.osm", Path("extract.osm"))
+    assert decode(Source, MemoryFiles({"extract.osm": b"1"}), "x") == Source(
+        "extract.osm", Path("extract.osm")
+    )

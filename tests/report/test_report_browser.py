@@ -12,9 +12,12 @@ from typing import Any
 import numpy as np
 import pytest
 from report_large import many
+from report_runs import garching as garching_config
+from report_runs import inputs_of
 
 from flexmap_tasks.model.arrays import strings
 from flexmap_tasks.model.osm import Tags
+from flexmap_tasks.report.review_items import review_items
 
 HOSTILE = [
     "<script>window.hacked = 1</script>",
@@ -260,3 +263,24 @@ def poisoned(inputs: dict[str, Any]) -> dict[str, Any]:
         ),
         "control_points": dataclasses.replace(points, label=cycle(len(points)), reason=cycle(len(points))),
     }
+
+
+def test_a_decision_made_in_the_report_reaches_the_next_release(
+    shown: Any, garching: dict[str, Any], shared_data: Path, tmp_path: Path
+) -> None:
+    kinds = review_items(garching["matches"], garching["transfers"], garching["lane_check"]).kind
+    first = int(np.flatnonzero(kinds == "value")[0])
+    shown.page.evaluate(f"location.hash = '#item={first + 1}'")
+    shown.page.locator(".decide").wait_for()
+    shown.page.keyboard.press("y")
+    assert shown.page.inner_text("#decided") == "Save 1 decisions"
+    with shown.page.expect_download() as waiting:
+        shown.page.click("#decided")
+    file = tmp_path / "decisions.csv"
+    file.write_bytes(Path(waiting.value.path()).read_bytes())
+    config = garching_config(shared_data / "garching", conflation={"review_file": str(file)})
+    after = inputs_of(config, "report")["report"]["transfers"]
+    accepted = [reason.startswith("accepted by a person") for reason in after.reason]
+    assert sum(accepted) == 1
+    assert (after.action == "review").sum() == (garching["transfers"].action == "review").sum() - 1
+    assert shown.complaints == []

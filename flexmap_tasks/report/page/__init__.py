@@ -13,6 +13,7 @@ SCRIPTS = (
     "inspect.js",
     "tables.js",
     "charts.js",
+    "decide.js",
     "selection.js",
     "controls.js",
     "main.js",

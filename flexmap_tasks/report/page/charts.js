@@ -33,6 +33,7 @@ function routeChart(node, size) {
     ctx.restore();
   };
   const show = (_, v) => (v === null || v === undefined ? "–" : `${number(v, 2)} m`);
+  const further = [["predicted σ", "sheet", slam.sigma, 1.4], ["to withheld GNSS", "act-set", slam.held_out, 0]].filter(([, , values]) => values.some((v) => v >= 0));
   return new uPlot({
     ...size, title: "Distance to the GNSS line along the route",
     cursor: { points: { size: 6 }, drag: { x: true, y: false } },
@@ -40,7 +41,9 @@ function routeChart(node, size) {
     axes: [axis("driven, m", { size: 26, labelSize: 15 }), axis("distance, m", { size: 44 })],
     series: [{ label: "driven", value: show },
       { label: "rigid start", stroke: colours.before, width: 1.5, dash: [6, 4], value: show },
-      { label: "aligned", stroke: colours.after, width: 1.8, fill: inks.get("slam-after-fill"), value: show }],
+      { label: "aligned", stroke: colours.after, width: 1.8, fill: inks.get("slam-after-fill"), value: show },
+      ...further.map(([name, colour, , width]) => ({ label: name, stroke: inks.get(colour), width, value: show, spanGaps: width > 0,
+        points: { show: width === 0, size: 4, fill: inks.get(colour) } }))],
     hooks: {
       drawAxes: [shade],
       setCursor: [(chart) => showPose(chart.cursor.idx)],
@@ -49,7 +52,7 @@ function routeChart(node, size) {
         if (i !== null && i !== undefined) goTo(slam.after[2 * i], slam.after[2 * i + 1]);
       })],
     },
-  }, [driven, along(slam.deviation_before), along(slam.deviation_after)], node);
+  }, [driven, along(slam.deviation_before), along(slam.deviation_after), ...further.map(([, , values]) => along(values))], node);
 }
 
 /** Shares of poses per bin of distance, equal bins up to the 99th percentile of the worse, all else in the last. */

@@ -108,7 +108,7 @@ function show() {
   const a = answer ?? {}, chips = [];
   const chip = (text, value) => chips.push(el("span", { class: "chip" }, el("small", {}, text), el("b", {}, value)));
   chip("rigid start", a.before_rmse_m === undefined ? "…" : `${number(a.before_rmse_m, 3)} m`);
-  chip("aligned", a.after_rmse_m === undefined ? "…" : `${number(a.after_rmse_m, 3)} m`);
+  chip(data.method === "rubber_sheet" ? "aligned" : "as rubber sheet", a.after_rmse_m === undefined ? "…" : `${number(a.after_rmse_m, 3)} m`);
   chip("with valid GNSS", a.valid_rmse_m === undefined ? "…" : `${number(a.valid_rmse_m, 3)} m`);
   if (a.sheet) {
     const stretch = decode(a.sheet.stretch);

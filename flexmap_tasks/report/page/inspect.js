@@ -33,6 +33,7 @@ function overview() {
       big("aligned", number(value("deviation_after_all_rmse")), "m RMSE")),
     facts([["mean after", withUnit(value("deviation_after_all_mean"), "m")],
       ["RMSE with valid GNSS", withUnit(value("deviation_after_valid_rmse"), "m")],
+      ["RMSE on withheld GNSS", measures.has("held_out_error_rmse") ? withUnit(value("held_out_error_rmse"), "m") : null],
       ["control points", points ? `${number(points.used.reduce((a, b) => a + b, 0), 0)} of ${points.label.length} used` : "none"]]),
     el("p", { class: "hint" }, "Distance of each SLAM pose to the GNSS line; straight across outages.")));
   if (data.matches) {

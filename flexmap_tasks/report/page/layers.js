@@ -9,7 +9,7 @@ function addLayer(layer) {
 const layer = (id) => layers.find((l) => l.id === id);
 
 const QUALITIES = [
-  ["fine", "σ up to 0.1 m"], ["fair", "σ up to 1 m"], ["poor", "σ over 1 m"], ["none", "no fix"], ["plain", "quality not given"],
+  ["fine", "σ up to 0.1 m"], ["fair", "σ up to 1 m"], ["poor", "σ over 1 m"], ["none", "no fix"], ["plain", "quality not given"], ["left-out", "left out by the alignment"],
 ];
 
 /** Row of QUALITIES for a fix: by sigma where there is one, by status otherwise. */
@@ -20,7 +20,7 @@ function qualityOf(status, sigma) {
 }
 
 const gnss = { ...data.gnss, xy: metres(data.gnss.xy) };
-gnss.quality = Uint8Array.from(gnss.status, (status, i) => qualityOf(status, gnss.sigma[i]));
+gnss.quality = Uint8Array.from(gnss.status, (status, i) => (gnss.left_out[i] ? 5 : qualityOf(status, gnss.sigma[i])));
 gnss.seen = [...new Set(gnss.quality)].sort();
 const gaps = new Paths();
 for (let i = 1; i < gnss.observed.length; i++) {

@@ -54,7 +54,7 @@ function whole() {
 
 document.addEventListener("keydown", (event) => {
   if (event.ctrlKey || event.metaKey || event.altKey || /^(INPUT|SELECT|TEXTAREA)$/.test(event.target.tagName) && event.target.type !== "checkbox") return;
-  const keys = { n: () => step(1), p: () => step(-1), "/": () => $("search").focus(), f: whole, Escape: () => select(null), "?": () => $("about").showModal() };
+  const keys = { n: () => step(1), p: () => step(-1), y: () => decideShown("accept"), x: () => decideShown("reject"), "/": () => $("search").focus(), f: whole, Escape: () => select(null), "?": () => $("about").showModal() };
   if (/^[1-5]$/.test(event.key)) setView(Number(event.key) - 1);
   else if (keys[event.key]) keys[event.key]();
   else return;

@@ -159,7 +159,8 @@ function stepTo(i) {
   $("inspector").querySelector(".heading")?.after(el("div", { class: "question" },
     el("small", {}, `Review ${i + 1} of ${data.review.row.length} · ${KINDS[data.review.kind[i]]}`),
     el("p", {}, foreign(subject), ": map ", el("b", {}, have === "" ? "–" : foreign(have)), ", OSM ", el("b", {}, offer === "" ? "–" : foreign(offer))),
-    el("p", { class: "reason" }, foreign(why))));
+    el("p", { class: "reason" }, foreign(why)),
+    data.review.kind[i] === "value" ? decisionButtons(data.review.row[i]) : null));
   writeAddress();
 }
 
@@ -170,3 +171,4 @@ function step(by) {
 
 $("next").addEventListener("click", () => step(1));
 $("previous").addEventListener("click", () => step(-1));
+$("decided").addEventListener("click", saveDecisions);

@@ -1,0 +1,45 @@
+"""The figures of a pose graph: what it estimated, what it left out, and how far it can be trusted."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from flexmap_tasks.config import EvaluationParams
+from flexmap_tasks.evaluation.summary import measures_of
+from flexmap_tasks.model.pose_graph import GnssUse, GraphFigures, GraphNodes, HeldOut
+from flexmap_tasks.model.quality import Measure
+
+AECC_BAND_M = (0.10, 0.20)
+"""Accuracy that automated driving asks of a map (AECC 2020, as the paper quotes it)."""
+
+
+def graph_measures(
+    figures: GraphFigures, nodes: GraphNodes, use: GnssUse, held_out: HeldOut | None, params: EvaluationParams
+) -> Iterator[Measure]:
+    """Estimates, predicted deviations per axis in the plane, and errors on withheld GNSS where there are any."""
+    yield Measure("lever_arm_forward", figures.lever_forward_m, "m")
+    yield Measure("lever_arm_left", figures.lever_left_m, "m")
+    yield Measure("slam_scale", figures.scale, "1")
+    yield Measure("clock_offset", figures.clock_offset_s, "s")
+    yield Measure("revisit_edges", float(figures.revisit_edges), "count")
+    yield Measure("revisit_agreement", figures.revisit_agreement, "1")
+    yield Measure("gnss_used", float(np.count_nonzero(use.used)), "count")
+    yield Measure("gnss_left_out", float(np.count_nonzero(~use.used)), "count")
+    sigma = np.sqrt((nodes.sigma_m[:, :2] ** 2).mean(axis=1))
+    for measure in measures_of("predicted_sigma", sigma):
+        limit = params.sigma_max_m if measure.name == "predicted_sigma_max" else None
+        yield Measure.at_most(measure.name, measure.value, measure.unit, limit)
+    if held_out is None:
+        return
+    yield Measure("held_out_poses", float(len(held_out)), "count")
+    for measure in measures_of("held_out_error", held_out.distance_m):
+        limit = params.held_out_rmse_max_m if measure.name == "held_out_error_rmse" else None
+        yield Measure.at_most(measure.name, measure.value, measure.unit, limit)
+    for band in AECC_BAND_M:
+        share = float((held_out.distance_m <= band).mean()) if len(held_out) else None
+        yield Measure(f"held_out_within_{100 * band:.0f}cm", share, "1")
+    yield from (
+        m for m in measures_of("held_out_predicted_sigma", held_out.sigma_m) if m.name.endswith("_rmse")
+    )
