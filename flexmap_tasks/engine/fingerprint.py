@@ -105,7 +105,18 @@ def _outer_source(module: str) -> _Source | None:
 
 def _read(path: Path) -> _Source:
     stat = path.stat()
-    return _Source(path, path.read_bytes(), max(stat.st_mtime_ns, stat.st_ctime_ns) > LOADED_NS)
+    content = path.read_bytes() + (_beside(path.parent) if path.name == "__init__.py" else b"")
+    return _Source(path, content, max(stat.st_mtime_ns, stat.st_ctime_ns) > LOADED_NS)
+
+
+def _beside(folder: Path) -> bytes:
+    """Files of a package that are no Python, such as the page of the report: code as well, told by their digests."""
+    others = [
+        p for p in sorted(folder.iterdir()) if p.is_file() and p.suffix not in (".py", ".pyc", ".nbi", ".nbc")
+    ]
+    return (
+        f"\n_BESIDE = { {p.name: digest_of(p.read_bytes()) for p in others}!r}\n".encode() if others else b""
+    )
 
 
 def _read_package() -> dict[str, _Source]:

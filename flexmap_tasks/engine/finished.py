@@ -28,6 +28,9 @@ FOLDER = "finished"
 RACY_NS = 2_000_000_000
 """A file younger than this may still change within the resolution of its time stamps."""
 
+NO_CODE = (".pyc", ".nbi", ".nbc")
+"""What Python and numba keep beside the sources."""
+
 _LOADED_NS = time.time_ns()
 _PACKAGE = Path(__file__).resolve().parents[1]
 
@@ -114,7 +117,7 @@ def _code_files() -> list[Path]:
     found: list[Path] = []
     for folder, folders, files in os.walk(_PACKAGE):
         folders[:] = sorted(name for name in folders if name != "__pycache__")
-        found.extend(Path(folder, name) for name in sorted(files) if name.endswith(".py"))
+        found.extend(Path(folder, name) for name in sorted(files) if not name.endswith(NO_CODE))
     return found
 
 

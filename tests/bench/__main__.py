@@ -15,6 +15,18 @@ from typing import Any
 from rich.console import Console
 from rich.table import Table
 
+from flexmap_tasks.config import CollapseParams, FlexMapConfig, MatchParams, TransferParams
+from flexmap_tasks.conflation.collapse import collapse
+from flexmap_tasks.conflation.match import match
+from flexmap_tasks.conflation.transfer import transfer
+from flexmap_tasks.engine.execute import Engine
+from flexmap_tasks.engine.local import run_local
+from flexmap_tasks.formats.config_file import load_config
+from flexmap_tasks.model.maps import LaneletMap, PlacedRoads
+from flexmap_tasks.pipeline import map_update
+from flexmap_tasks.store.store import Store
+from tests.bench.town_copies import copies_of_map, copies_of_roads
+
 PROJECT = Path(__file__).resolve().parents[2]
 PEER_CPU_S = 13.0
 """The original on the same data and another machine (REFERENCE.md): not measured in this run."""
@@ -44,17 +56,6 @@ def show(title: str, rows: list[tuple[str, str, str]]) -> None:
 
 def garching() -> None:
     """The whole route into an empty store, and copies of map and roads side by side."""
-    from flexmap_tasks.config import CollapseParams, FlexMapConfig, MatchParams, TransferParams
-    from flexmap_tasks.conflation.collapse import collapse
-    from flexmap_tasks.conflation.match import match
-    from flexmap_tasks.conflation.transfer import transfer
-    from flexmap_tasks.engine.execute import Engine
-    from flexmap_tasks.engine.local import run_local
-    from flexmap_tasks.formats.config_file import load_config
-    from flexmap_tasks.model.maps import LaneletMap, PlacedRoads
-    from flexmap_tasks.pipeline import map_update
-    from flexmap_tasks.store.store import Store
-    from tests.bench.town_copies import copies_of_map, copies_of_roads
 
     config = load_config(FlexMapConfig, PROJECT / "configs" / "garching.yaml")
 

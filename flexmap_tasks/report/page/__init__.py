@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from importlib.resources import files
 
+from flexmap_tasks.report import vendor
+
 SCRIPTS = (
     "data.js",
     "words.js",
@@ -39,4 +41,4 @@ def text(name: str) -> str:
 
 def vendored(name: str) -> str:
     """One file of a library."""
-    return files("flexmap_tasks.report.vendor").joinpath(name).read_text(encoding="utf-8")
+    return files(vendor).joinpath(name).read_text(encoding="utf-8")
