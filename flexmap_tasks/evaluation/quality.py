@@ -31,11 +31,6 @@ def evaluate(
     slam: Trajectory,
     gnss: GnssTrack,
     warp: Warp,
-    antenna: Trajectory | None,
-    graph_figures: GraphFigures | None,
-    graph_nodes: GraphNodes | None,
-    gnss_use: GnssUse | None,
-    held_out: HeldOut | None,
     control_points: ControlPoints | None,
     references: References | None,
     transfers: Transfers | None,
@@ -43,6 +38,11 @@ def evaluate(
     map_findings: Findings | None,
     transfer_findings: Findings | None,
     params: EvaluationParams,
+    antenna: Trajectory | None = None,
+    graph_figures: GraphFigures | None = None,
+    graph_nodes: GraphNodes | None = None,
+    gnss_use: GnssUse | None = None,
+    held_out: HeldOut | None = None,
 ) -> Quality:
     """The figures of a map update.
 
@@ -54,7 +54,7 @@ def evaluate(
     measures = [*_deviations(slam, gnss, warp, after_m, params), *_alignment(warp)]
     if graph_figures is not None and graph_nodes is not None and gnss_use is not None:
         measures += graph_measures(graph_figures, graph_nodes, gnss_use, held_out, params)
-    if control_points is not None and warp.sheet is not None:
+    if control_points is not None and (warp.sheet is not None or graph_figures is None):
         measures += _residuals(control_points, warp)
     if references is not None:
         measures += _matching(references, params)

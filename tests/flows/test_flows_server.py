@@ -82,7 +82,8 @@ def test_the_demo_through_a_real_server(environment: dict[str, str], tmp_path: P
     assert first.returncode == 0, first.stderr
     assert Path(first.stdout.strip().splitlines()[-1]).name == "lanelet2_map.osm"
     (run,) = flow_runs(environment)
-    assert (run["name"], run["state_type"]) == ("demo", "COMPLETED")
+    release = Path(first.stdout.strip().splitlines()[-1]).parent.name
+    assert (run["name"], run["state_type"]) == (f"demo {release}", "COMPLETED")
     states = task_states(environment, run["id"])
     assert states["demo: pose graph"] == "Completed"
     assert states["demo: match"] == "Completed"

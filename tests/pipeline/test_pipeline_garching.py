@@ -20,6 +20,7 @@ import pytest
 
 from flexmap_tasks.config import FlexMapConfig
 from flexmap_tasks.engine.execute import Engine, Outcome
+from flexmap_tasks.engine.finished import watch
 from flexmap_tasks.engine.local import run_local
 from flexmap_tasks.engine.plan import make_plan
 from flexmap_tasks.engine.runs import read_last_run
@@ -68,8 +69,9 @@ def store(tmp_path_factory: pytest.TempPathFactory) -> Store:
 
 def run(store: Store, config: FlexMapConfig) -> tuple[dict[str, Outcome], Path]:
     graph = map_update(config)
+    watched = watch(graph)
     outcomes = run_local(store, graph)
-    return outcomes, finish_run(store, graph, outcomes, config.map).folder
+    return outcomes, finish_run(store, graph, outcomes, config, watched).folder
 
 
 def executed(outcomes: dict[str, Outcome]) -> set[str]:
