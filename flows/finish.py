@@ -7,9 +7,9 @@ from collections.abc import Mapping
 from flexmap_tasks.config import FlexMapConfig
 from flexmap_tasks.engine.execute import Outcome
 from flexmap_tasks.engine.finished import Watched, remember_finished
-from flexmap_tasks.engine.gate import make_candidate, pass_gate
+from flexmap_tasks.engine.gate import pass_gate
 from flexmap_tasks.engine.graph import Graph
-from flexmap_tasks.engine.release import Release
+from flexmap_tasks.engine.release import Release, make_candidate
 from flexmap_tasks.engine.runs import sources_of, write_last_run
 from flexmap_tasks.store.store import Store
 from flows.metrics import write_metrics
@@ -24,7 +24,7 @@ def finish_run(
     """
     artifacts = {name: o.artifact for name, o in outcomes.items()}
     actions = {name: o.key for name, o in outcomes.items()}
-    release = make_candidate(store, graph, artifacts, actions, config.map)
+    release = make_candidate(store, graph, artifacts, actions, store.releases, config.map)
     verdict = pass_gate(store, release, config.map, config.gate)
     write_last_run(store, config.map, actions, release.id, sources_of(store, graph))
     remember_finished(store, config, graph, actions, release, watched)

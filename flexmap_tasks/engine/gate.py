@@ -15,17 +15,9 @@ from datetime import UTC, datetime
 from typing import Any, Literal
 
 from flexmap_tasks.config import GateLimit, GateParams
-from flexmap_tasks.engine.graph import Graph
-from flexmap_tasks.engine.release import (
-    Release,
-    _point_latest,
-    _write,
-    is_whole,
-    make_manifest,
-    push_release,
-)
-from flexmap_tasks.errors import InputError, StoreError
-from flexmap_tasks.store.artifact import Artifact, canonical_json, digest_of, seal, unseal
+from flexmap_tasks.engine.release import Release, move_latest, push_release
+from flexmap_tasks.errors import InputError
+from flexmap_tasks.store.artifact import seal, unseal
 from flexmap_tasks.store.backend import FolderBackend
 from flexmap_tasks.store.store import Store
 
@@ -59,29 +51,9 @@ class Verdict:
     previous: str | None = None
 
 
-def make_candidate(
-    store: Store, graph: Graph, artifacts: Mapping[str, Artifact], actions: Mapping[str, str], name: str
-) -> Release:
-    """Write releases/<name>/<id>/ whole or not at all; `latest` stays where it is."""
-    manifest = make_manifest(store, graph, artifacts, actions, name)
-    content = canonical_json(manifest)
-    release_id = digest_of(content)[:16]
-    folder = store.releases / name / release_id
-    fresh = not is_whole(folder, manifest)
-    try:
-        if fresh:
-            _write(store, manifest, content, folder)
-    except OSError as error:
-        raise StoreError(f"release {folder}: cannot be written ({error.strerror})") from error
-    return Release(folder, release_id, fresh)
-
-
 def make_latest(store: Store, release: Release) -> None:
-    """Let `latest` name the release, in one step."""
-    try:
-        _point_latest(release.folder)
-    except OSError as error:
-        raise StoreError(f"release {release.folder}: latest cannot be moved ({error.strerror})") from error
+    """Let `latest` name the release, here and beside a store that is no folder."""
+    move_latest(release)
     push_release(store, release)
 
 

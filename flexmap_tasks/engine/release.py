@@ -33,10 +33,10 @@ class Release:
     fresh: bool
 
 
-def publish_release(
+def make_candidate(
     store: Store, graph: Graph, artifacts: Mapping[str, Artifact], actions: Mapping[str, str], root: Path, name: str
 ) -> Release:  # fmt: skip
-    """Write releases/<name>/<id>/ below `root` whole or not at all, and point `latest` to it.
+    """Write releases/<name>/<id>/ below `root` whole or not at all; `latest` stays where it is.
 
     The id is a digest of the manifest: the same content is the same release.
     """
@@ -47,11 +47,27 @@ def publish_release(
     fresh = not is_whole(folder, manifest)
     try:
         if fresh:
-            _write(store, manifest, content, folder)
-        _point_latest(folder)
+            write_release(store, manifest, content, folder)
     except OSError as error:
         raise StoreError(f"release {folder}: cannot be written ({error.strerror})") from error
     return Release(folder, release_id, fresh)
+
+
+def publish_release(
+    store: Store, graph: Graph, artifacts: Mapping[str, Artifact], actions: Mapping[str, str], root: Path, name: str
+) -> Release:  # fmt: skip
+    """A candidate that no gate has to judge: written, and `latest` points to it."""
+    release = make_candidate(store, graph, artifacts, actions, root, name)
+    move_latest(release)
+    return release
+
+
+def move_latest(release: Release) -> None:
+    """Let `latest` beside the release name it, in one step."""
+    try:
+        point_latest(release.folder)
+    except OSError as error:
+        raise StoreError(f"release {release.folder}: latest cannot be moved ({error.strerror})") from error
 
 
 def push_release(store: Store, release: Release) -> None:
@@ -122,7 +138,7 @@ def broken_files(folder: Path, manifest: Mapping[str, Any]) -> list[str]:
 def restore(store: Store, folder: Path, manifest: Mapping[str, Any]) -> None:
     """Write a release anew from the store. Raises CorruptBlobError where the store does not hold it any more."""
     try:
-        _write(store, manifest, canonical_json(manifest), folder)
+        write_release(store, manifest, canonical_json(manifest), folder)
     except OSError as error:
         raise StoreError(f"release {folder}: cannot be written ({error.strerror})") from error
 
@@ -146,7 +162,8 @@ def _released_files(path: str, ref: Ref, artifact: Artifact) -> Iterator[tuple[s
             yield path, blob
 
 
-def _write(store: Store, manifest: Mapping[str, Any], content: bytes, folder: Path) -> None:
+def write_release(store: Store, manifest: Mapping[str, Any], content: bytes, folder: Path) -> None:
+    """Write a release folder whole or not at all, every file checked on its way out of the store."""
     temporary = folder.parent / f".{folder.name}.{secrets.token_hex(4)}"
     try:
         for file, entry in manifest["files"].items():
@@ -183,7 +200,8 @@ def _write_file(path: Path, content: bytes) -> None:
         os.fsync(file.fileno())
 
 
-def _point_latest(folder: Path) -> None:
+def point_latest(folder: Path) -> None:
+    """Let `latest` beside the folder name it, in one step."""
     latest = folder.parent / "latest"
     if latest.is_symlink() and latest.readlink() == Path(folder.name):
         return
