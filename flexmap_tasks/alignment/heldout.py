@@ -29,12 +29,14 @@ def heldout(slam: Trajectory, gnss: GnssTrack, projection: Projection, params: G
     """Distance of the antenna from GNSS that the solution was not told of, on the same pass of the road.
 
     Every `folds`-th block of `block_m` metres is withheld, then the next, until all have been; rigid start,
-    association, noise and adjustment are done anew each time. Only what the whole solution keeps is asked of.
+    association, noise and adjustment are done anew each time. Only what the whole solution keeps is asked of, and
+    what it switched off as multipath stays off: the search for that is not repeated.
     """
     drive, control = checked_drive(slam, params.graph), no_control()
     log_scale, first = float(np.log(projection.grid_scale_factor)), first_stamp(slam)
     whole = solve(drive, gnss, first, log_scale, control, params.graph)
-    line, _ = driven_line(gnss, _switched_off(whole.reason))
+    off = _switched_off(whole.reason)
+    line, _ = driven_line(gnss, off)
     where = _places(line, _antenna(whole.solution.state), whole.along_m)
     fold = (where // params.block_m).astype(np.int64) % params.folds
     of_fix = np.interp(np.arange(len(gnss)), line.fix, line.along_m)
@@ -45,7 +47,8 @@ def heldout(slam: Trajectory, gnss: GnssTrack, projection: Projection, params: G
         asked = known & (fold == k)
         if not asked.any():
             continue
-        part = solve(drive, gnss, first, log_scale, control, params.graph, fix_fold == k)
+        withheld = off | (fix_fold == k)
+        part = solve(drive, gnss, first, log_scale, control, params.graph, withheld, search=False)
         antenna = _antenna(part.solution.state)
         foot = slide(line, antenna, where)
         gap[asked] = np.hypot(*(antenna - line.at(foot)).T)[asked]

@@ -104,10 +104,13 @@ def solve(
     control: tuple[Fix, Floats],
     params: PoseGraphParams,
     withheld: Bools | None = None,
+    *,
+    search: bool = True,
 ) -> Solved:
     """Rigid start, then adjustment and association in turns, then stretches that stand off switched off.
 
     first_ns : stamp of the first pose; withheld : (m,) fixes that must not be used
+    search : look for stretches that stand off, which costs more than all the rest
     Raises AlignmentError when the tracks do not determine an alignment.
     """
     line, reason = driven_line(gnss, withheld)
@@ -122,7 +125,7 @@ def solve(
         agreement = revisit_sigma(revisit, solution.state, solution.scale)
         known = known._replace(revisit=revisit, revisit_sigma=agreement)
         found, solution = _adjusted(known, tie, solution.state, solution.scale, rounds=(1,))
-    for _ in range(MAX_STRETCHES):
+    for _ in range(MAX_STRETCHES if search else 0):
         where = line.along_m[found.line_row]
         stretch = standing_off(solution, GNSS, where, 2 if known.timed else 1, params.multipath_min_m)
         if stretch is None:
