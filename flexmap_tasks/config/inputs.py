@@ -1,0 +1,119 @@
+"""What a map update reads."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Literal
+
+from pydantic import Field, StringConstraints, model_validator
+
+from flexmap_tasks.config.base import NonNegative, Params, Positive
+
+
+class GnssParams(Params):
+    """Which GNSS fixes to read from a recording."""
+
+    format: Literal["auto", "mcap", "text"] = Field("auto", description="by content when auto")
+    topic: str | None = Field(None, description="MCAP topic; may stay empty when only one fits")
+
+
+class SlamParams(Params):
+    """Which SLAM trajectory to read from a recording."""
+
+    format: Literal["auto", "mcap", "kitti", "tum"] = Field("auto", description="by content when auto")
+    topic: str | None = Field(None, description="MCAP topic; may stay empty when only one fits")
+    parent_frame: str | None = Field(None, description="tf2_msgs/TFMessage: frame the pose is given in")
+    child_frame: str | None = Field(None, description="tf2_msgs/TFMessage: frame whose pose is taken")
+
+
+class GnssInput(GnssParams):
+    """The recording that holds GNSS fixes."""
+
+    file: Path
+
+
+class SlamInput(SlamParams):
+    """The recording that holds the SLAM trajectory."""
+
+    file: Path
+
+
+class LaneletMapInput(Params):
+    """The Lanelet2 map in the SLAM frame."""
+
+    file: Path
+
+
+class PointCloudParams(Params):
+    """How a point cloud is cut into tiles."""
+
+    tile_size_m: Annotated[int, Field(ge=1, le=10_000)] = Field(
+        20,
+        description="edge of a tile, axis-parallel in the map frame; whole metres, as Autoware's loader wants",
+    )
+    voxel_size_m: Annotated[float, Field(ge=0, allow_inf_nan=False)] = Field(
+        0.0, description="one point kept per voxel of this edge, at least 0.001; 0 keeps all"
+    )
+    outlier_neighbours: Annotated[int, Field(ge=0, le=1000)] = Field(
+        0,
+        description="points whose mean distance to this many neighbours stands out are left out; 0 keeps all",
+    )
+    outlier_deviations: Positive = Field(
+        2.0, description="how many standard deviations over the tile's mean distance stand out"
+    )
+    viewpoint: Literal["refuse", "ignore"] = Field(
+        "refuse",
+        description="a PCD VIEWPOINT other than identity: an error, or known to say nothing about the points",
+    )
+
+    @model_validator(mode="after")
+    def _voxel_of_a_millimetre(self) -> PointCloudParams:
+        if 0 < self.voxel_size_m < 0.001:
+            raise ValueError("voxel_size_m must be 0 or at least 0.001")
+        return self
+
+
+class PointCloudInput(PointCloudParams):
+    """The point cloud map in the SLAM frame."""
+
+    file: Path
+
+
+class OsmFetchParams(Params):
+    """An OpenStreetMap server asked for the box around the track."""
+
+    endpoint: Annotated[str, StringConstraints(pattern=r"^https?://[^\s/]+")] = Field(
+        description="http(s) address of an OSM API 0.6 or Overpass endpoint"
+    )
+    api: Literal["osm06", "overpass"] = "osm06"
+    margin_m: Annotated[float, Field(ge=0, le=10_000)] = Field(
+        200.0, description="added around the track's box"
+    )
+    max_age_days: NonNegative = Field(30.0, description="an extract older than this is fetched again")
+    timeout_s: Annotated[float, Field(gt=0, le=3600)] = 60.0
+
+
+class OsmRoadsParams(Params):
+    """Which ways of OpenStreetMap count as roads."""
+
+    highways: tuple[str, ...] = Field(
+        (
+            "motorway", "motorway_link", "trunk", "trunk_link", "primary", "primary_link", "secondary",
+            "secondary_link", "tertiary", "tertiary_link", "unclassified", "residential",
+            "living_street", "service", "busway", "road",
+        ),
+        description="values of `highway` that vehicles drive on",
+    )  # fmt: skip
+
+
+class OsmInput(OsmRoadsParams):
+    """OpenStreetMap: a file, or a server to fetch it from."""
+
+    file: Path | None = None
+    fetch: OsmFetchParams | None = None
+
+    @model_validator(mode="after")
+    def _one_of(self) -> OsmInput:
+        if (self.file is None) == (self.fetch is None):
+            raise ValueError("give either `file` or `fetch`")
+        return self
