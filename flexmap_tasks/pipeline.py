@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import Any, TypeVar
 
 from flexmap_tasks.alignment.align_track import align_track
@@ -26,6 +25,7 @@ from flexmap_tasks.config import (
     SlamParams,
 )
 from flexmap_tasks.conflation.collapse import collapse
+from flexmap_tasks.conflation.gaps import find_gaps
 from flexmap_tasks.conflation.match import match
 from flexmap_tasks.conflation.place_roads import place_roads
 from flexmap_tasks.conflation.review import apply_review
@@ -41,74 +41,12 @@ from flexmap_tasks.ingest.osm_fetch import fetch_osm, track_box
 from flexmap_tasks.ingest.osm_roads import ingest_osm_roads
 from flexmap_tasks.ingest.point_cloud import ingest_point_cloud
 from flexmap_tasks.ingest.slam import ingest_slam
+from flexmap_tasks.pipeline_parts import Adjusted, Aligned, Cloud, Conflated, Drawn, Drive
 from flexmap_tasks.report.bundle_check import check_bundle
 from flexmap_tasks.report.exports import export_layers
 from flexmap_tasks.report.report import report
 
 M = TypeVar("M", bound=Params)
-
-
-@dataclass(frozen=True, slots=True)
-class Drive:
-    """What alignment starts from."""
-
-    projection: Ref
-    gnss_track: Ref
-    slam: Ref
-
-
-@dataclass(frozen=True, slots=True)
-class Adjusted:
-    """The pose graph, its antenna track, and its errors on withheld GNSS."""
-
-    graph: Ref
-    antenna: Ref
-    held_out: Ref | None
-
-
-@dataclass(frozen=True, slots=True)
-class Aligned:
-    """The drive in the map frame, and the warp that brought it there."""
-
-    projection: Ref
-    gnss_track: Ref
-    slam: Ref
-    control_points: Ref | None
-    warp: Ref
-    track: Ref
-    adjusted: Adjusted | None
-
-
-@dataclass(frozen=True, slots=True)
-class Conflated:
-    """What conflation decided, and the enriched map."""
-
-    matched: Ref
-    enriched: Ref
-
-
-@dataclass(frozen=True, slots=True)
-class Cloud:
-    """The list of the map's tiles as Autoware reads it, and the tiles that are there."""
-
-    metadata: Ref
-    keys: Ref
-
-
-@dataclass(frozen=True, slots=True)
-class Drawn:
-    """What the report and the layers show.
-
-    recorded : the map as it was read; lanelets : where georeferencing put it
-    """
-
-    recorded: Ref | None
-    lanelets: Ref | None
-    roads: Ref | None
-    aligned: Aligned
-    conflated: Conflated | None
-    quality: Ref
-    bundle_findings: Ref | None
 
 
 def map_update(config: FlexMapConfig) -> Graph:
@@ -266,6 +204,10 @@ def _conflate(graph: Graph, config: FlexMapConfig, lanelets: Ref, roads: Ref, al
     )
     if conflation.review_file is not None:
         enriched = graph.run(apply_review, enriched=enriched, source=SourceRef(conflation.review_file))
+    missing = graph.run(
+        find_gaps, conflation.gaps, centerlines=centerlines, roads=placed, matches=matched.field("matches")
+    )
+    graph.publish("gaps.parquet", missing)
     graph.publish("matches.parquet", matched.field("matches"))
     graph.publish("transfer.parquet", enriched.field("transfers"))
     graph.publish("lane_check.parquet", enriched.field("lane_check"))

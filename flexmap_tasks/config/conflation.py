@@ -178,11 +178,19 @@ class TransferParams(Params):
         return self
 
 
+class GapsParams(Params):
+    """What one of the two maps has and the other has not."""
+
+    corridor_m: Positive = Field(15.0, description="roads within this distance of mapped lanes are asked for")
+    shortest_m: NonNegative = Field(10.0, description="shorter stretches are not worth a row")
+
+
 class ConflationParams(Params):
     """How OpenStreetMap's knowledge reaches the lanelets."""
 
     collapse: CollapseParams = CollapseParams()
     match: MatchParams = MatchParams()
+    gaps: GapsParams = GapsParams()
     transfer: TransferParams = TransferParams()
     review_file: Path | None = Field(
         None, description="CSV of people's decisions on values up for review, as the report saves it"

@@ -5,7 +5,9 @@ from __future__ import annotations
 import numpy as np
 import shapely
 
+from flexmap_tasks.config import GapsParams
 from flexmap_tasks.conflation.road_segments import usable_vertices
+from flexmap_tasks.engine.stage import stage
 from flexmap_tasks.geometry.segments import Segments, cut
 from flexmap_tasks.model.arrays import Bools, Floats, Ints, strings
 from flexmap_tasks.model.conflation import Centerlines, Gaps, Matches
@@ -13,6 +15,12 @@ from flexmap_tasks.model.maps import PlacedRoads
 
 NOT_IN_HD_MAP, NOT_IN_OSM = "not_in_hd_map", "not_in_osm"
 STEP_M = 5.0
+
+
+@stage("gaps")
+def find_gaps(centerlines: Centerlines, roads: PlacedRoads, matches: Matches, params: GapsParams) -> Gaps:
+    """What one of the two maps has and the other has not, as `params` limits it."""
+    return gaps(centerlines, roads, matches, params.corridor_m, params.shortest_m)
 
 
 def gaps(

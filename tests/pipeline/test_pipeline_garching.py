@@ -33,7 +33,7 @@ PROJECT = Path(__file__).resolve().parents[2]
 CONFIG = PROJECT / "configs" / "garching.yaml"
 FROM_CONTROL_POINTS_DOWN = {
     "control_points", "rubber_sheet", "align_track", "georeference_map", "collapse", "match", "transfer",
-    "georeference", "evaluate", "report", "export_layers", "check_bundle",
+    "georeference", "evaluate", "report", "export_layers", "check_bundle", "find_gaps",
 }  # fmt: skip
 
 

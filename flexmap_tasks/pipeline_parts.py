@@ -1,0 +1,70 @@
+"""What the parts of the pipeline hand to each other: references, by name."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from flexmap_tasks.engine.graph import Ref
+
+
+@dataclass(frozen=True, slots=True)
+class Drive:
+    """What alignment starts from."""
+
+    projection: Ref
+    gnss_track: Ref
+    slam: Ref
+
+
+@dataclass(frozen=True, slots=True)
+class Adjusted:
+    """The pose graph, its antenna track, and its errors on withheld GNSS."""
+
+    graph: Ref
+    antenna: Ref
+    held_out: Ref | None
+
+
+@dataclass(frozen=True, slots=True)
+class Aligned:
+    """The drive in the map frame, and the warp that brought it there."""
+
+    projection: Ref
+    gnss_track: Ref
+    slam: Ref
+    control_points: Ref | None
+    warp: Ref
+    track: Ref
+    adjusted: Adjusted | None
+
+
+@dataclass(frozen=True, slots=True)
+class Conflated:
+    """What conflation decided, and the enriched map."""
+
+    matched: Ref
+    enriched: Ref
+
+
+@dataclass(frozen=True, slots=True)
+class Cloud:
+    """The list of the map's tiles as Autoware reads it, and the tiles that are there."""
+
+    metadata: Ref
+    keys: Ref
+
+
+@dataclass(frozen=True, slots=True)
+class Drawn:
+    """What the report and the layers show.
+
+    recorded : the map as it was read; lanelets : where georeferencing put it
+    """
+
+    recorded: Ref | None
+    lanelets: Ref | None
+    roads: Ref | None
+    aligned: Aligned
+    conflated: Conflated | None
+    quality: Ref
+    bundle_findings: Ref | None
