@@ -67,7 +67,7 @@ def collect(
     gone = {e.key for e in dead_records}
     leftovers = [e for e in store.backend.entries(TEMPORARY) if age(e)]
     leftovers += [e for e in store.backend.entries(FINISHED) if age(e) and _names_any(store, e, gone)]
-    torn = [path for path in store.releases.glob("*/.[!.]*") if now - path.lstat().st_mtime >= grace_s]
+    torn = [path for path in store.releases.glob("*/.[!.]*") if _written_before(path, now - grace_s)]
     swept = [e for group in (stale_runs, leftovers, dead_records, dead_blobs) for e in group]
     if not dry_run:
         _sweep(store, swept, now, grace_s)
@@ -82,6 +82,14 @@ def collect(
         len(records) - len(dead_records),
         sum(e.size for e in (*blobs, *records)) - sum(e.size for e in (*dead_blobs, *dead_records)),
     )
+
+
+def _written_before(path: Path, time_s: float) -> bool:
+    """Last written before a time; False where another process has finished with it meanwhile."""
+    try:
+        return path.lstat().st_mtime <= time_s
+    except FileNotFoundError:
+        return False
 
 
 def _keepers_now(store: Store, *, dry_run: bool) -> float:
