@@ -53,7 +53,6 @@ from flexmap_tasks.config.output import (
     GateLimit,
     GateParams,
     GeoreferenceParams,
-    HeldOutParams,
     ReportParams,
     TruthEvaluationParams,
 )
@@ -76,7 +75,6 @@ __all__ = [
     "GnssInput",
     "GnssParams",
     "GraphHeldOutParams",
-    "HeldOutParams",
     "LaneletMapInput",
     "MatchParams",
     "Name",

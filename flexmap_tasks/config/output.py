@@ -42,20 +42,6 @@ class ReportParams(Params):
     map: Name = Field(description="name of the map")
 
 
-class HeldOutParams(Params):
-    """Which GNSS is withheld from the alignment, to judge it by."""
-
-    block_m: Positive = Field(100.0, description="length of a block")
-    every: Annotated[int, Field(ge=2, le=100)] = Field(5, description="one block of so many is withheld")
-    fold: Annotated[int, Field(ge=0)] = Field(0, description="the first withheld block")
-
-    @model_validator(mode="after")
-    def _fold_of_every(self) -> HeldOutParams:
-        if self.fold >= self.every:
-            raise ValueError("fold must be less than every")
-        return self
-
-
 class TruthEvaluationParams(Params):
     """Limits of an evaluation against the truth; an empty limit is not judged."""
 
