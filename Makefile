@@ -8,7 +8,7 @@ export PREFECT_SERVER_ANALYTICS_ENABLED = false
 export DO_NOT_TRACK = 1
 export PREFECT_SERVER_EPHEMERAL_STARTUP_TIMEOUT_SECONDS = 120
 
-.PHONY: demo test lint bench soak clean system
+.PHONY: demo test lint bench soak screenshots clean system
 
 demo: $(VENV)/run  ## build .venv and make the map of a simulated town, through Prefect
 	$(BIN)/flexmap demo
@@ -25,12 +25,14 @@ lint: $(VENV)/dev  ## style, types and the layers of the house
 bench: $(VENV)/dev  ## speed beside peers measured in the same run, and growth over sizes
 	$(BIN)/python -m tests.bench
 
-soak: $(VENV)/dev  ## what takes long: a fleet of 20 maps over 3 nights with a worker killed, planning of 100,000 maps
+soak: $(VENV)/dev  ## what takes long: hundreds of kills, a fleet of 20 maps over 3 nights, planning of many maps
+	$(BIN)/python -m tests.soak
 	$(BIN)/python tests/fleet/fleet_nights.py
 	$(BIN)/python tests/fleet/fleet_planner.py
 
-soak: $(VENV)/dev  ## hundreds of kills and damages; takes a quarter of an hour
-	$(BIN)/python -m tests.soak
+screenshots: $(VENV)/dev  ## pictures of report and editor for the documentation (needs chromium and ../shared/data)
+	$(BIN)/flexmap run configs/garching.yaml --no-prefect
+	$(BIN)/python -m tests.screenshots configs/garching.yaml artifacts docs/images
 
 system:  # what wheels expect from the system
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || { echo "FlexMap needs Python 3.11 or newer; run make with PYTHON=python3.11"; exit 1; }

@@ -46,7 +46,7 @@ def to_screen(page: Any) -> Callable[[Any], tuple[float, float]]:
 
 def until(condition: Callable[[], bool]) -> None:
     """Waits for what the page shows; the page's own policy forbids to wait inside of it."""
-    end = time.monotonic() + 15
+    end = time.monotonic() + 60
     while not condition():
         assert time.monotonic() < end, "the page did not come to it"
         time.sleep(0.05)
@@ -163,7 +163,9 @@ def test_what_the_pipeline_would_refuse_is_not_saved(
 ) -> None:
     opened(page, serve(config))
     for _ in range(8):
+        rows = page.locator("#rows tr").count()
         page.click("#rows tr:nth-child(1) .close")
+        until(lambda rows=rows: page.locator("#rows tr").count() == rows - 1)
     before = (tmp_path / "points.csv").read_bytes()
     page.click("#save")
     until(lambda: page.locator("#message.bad").count() == 1)

@@ -8,7 +8,7 @@ let pairs = points
     }))
   : [];
 const past = [], future = [];
-let saved = JSON.stringify(pairs), chosen = -1, drag = null, half = null, answer = null, asking = 0;
+let saved = JSON.stringify(pairs), chosen = -1, drag = null, half = null, answer = null, verdict = null, asking = 0;
 
 /** Change the pairs in a way that can be undone. */
 function change(make) {

@@ -100,6 +100,7 @@ document.addEventListener("mouseup", () => {
 });
 
 function changed() {
+  verdict = null;
   show();
   judge();
 }
@@ -115,8 +116,9 @@ function show() {
     chip("stretch", `${number(Math.min(...stretch), 3)} to ${number(Math.max(...stretch), 3)}`);
   }
   $("figures").replaceChildren(...chips);
-  $("message").textContent = a.error ?? a.said ?? "";
-  $("message").classList.toggle("bad", Boolean(a.error));
+  const spoken = verdict ?? a;
+  $("message").textContent = spoken.error ?? spoken.said ?? "";
+  $("message").classList.toggle("bad", Boolean(spoken.error));
   $("rows").replaceChildren(...pairs.map(rowOf));
   $("undo").disabled = !past.length;
   $("redo").disabled = !future.length;
@@ -140,7 +142,7 @@ function rowOf(pair, i) {
 async function save() {
   const sent = JSON.stringify(pairs), told = await ask("save", { pairs }).catch(() => ({ error: "the server does not answer" }));
   if (!told.error) saved = sent;
-  answer = { ...answer, error: told.error, said: told.said };
+  verdict = told; // stands until the next change, whatever preview arrives after it
   show();
 }
 
