@@ -9,22 +9,19 @@ from __future__ import annotations
 import os
 import sys
 from pathlib import Path
-from typing import Annotated
 
-from cyclopts import App, Parameter
+from cyclopts import App
 from rich.console import Console
 
 from flexmap_tasks.errors import FlexMapError
 from flows import cli_fleet, commands
 from flows.editor import command as edit_command
-from flows.store_commands import STORE, Releases, StoreUrl, add_store_commands
+from flows.store_commands import STORE, Releases, Set, StoreUrl, add_store_commands
 from flows.world_commands import add_world_commands
 
 app = App(name="flexmap", help=__doc__, version="0.1.0")
 cli_fleet.add_to(app)
 add_world_commands(app)
-
-Set = Annotated[tuple[str, ...], Parameter(name="--set", consume_multiple=True, negative="")]
 
 
 @app.command

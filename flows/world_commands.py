@@ -6,15 +6,12 @@ import json
 import os
 from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
-from typing import Annotated
 
-from cyclopts import App, Parameter
+from cyclopts import App
 
 from flexmap_tasks.errors import ConfigError, StoreError
 from flows import console
-from flows.store_commands import STORE, StoreUrl
-
-Set = Annotated[tuple[str, ...], Parameter(name="--set", consume_multiple=True, negative="")]
+from flows.store_commands import STORE, Set, StoreUrl
 
 # What a command needs is imported by that command: `flexmap run` must not wait for what others load.
 
@@ -116,7 +113,6 @@ def sweep(
 
 def score(world_json: str, store_url: str) -> bytes:
     """`evaluation.json` of one world, from the store when it was scored before."""
-    from flexmap_tasks.engine.execute import Engine  # noqa: PLC0415
     from flexmap_tasks.engine.graph import Graph  # noqa: PLC0415
     from flexmap_tasks.engine.local import run_local  # noqa: PLC0415
     from flexmap_tasks.scoring import ScoreParams, score_world  # noqa: PLC0415
@@ -125,7 +121,7 @@ def score(world_json: str, store_url: str) -> bytes:
     graph, store = Graph(), Store.open(store_url)
     graph.run(score_world, ScoreParams(world=json.loads(world_json)))
     outcome = run_local(store, graph)["score_world"]
-    return Engine(store).store.read_blob(dict(outcome.artifact.files)["evaluation.json"])
+    return store.read_blob(dict(outcome.artifact.files)["evaluation.json"])
 
 
 def _numbers(text: str) -> list[float]:

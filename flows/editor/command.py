@@ -4,18 +4,15 @@ from __future__ import annotations
 
 import webbrowser
 from pathlib import Path
-from typing import Annotated
 
-from cyclopts import App, Parameter
+from cyclopts import App
 
 from flexmap_tasks.config import FlexMapConfig
 from flexmap_tasks.errors import ConfigError
 from flexmap_tasks.formats.config_file import load_config
 from flexmap_tasks.store.store import Store
 from flows import console
-from flows.store_commands import STORE, StoreUrl
-
-Set = Annotated[tuple[str, ...], Parameter(name="--set", consume_multiple=True, negative="")]
+from flows.store_commands import STORE, Set, StoreUrl
 
 
 def add_to(app: App) -> None:
