@@ -1,109 +1,31 @@
 """`make bench`: every speed as a ratio to a peer measured in the same run, or as growth over sizes.
 
-Figures are CPU seconds of this process, the best of three, after one warm-up; imports and Prefect are left out.
+`python -m tests.bench` runs all subjects, `python -m tests.bench NAME ...` the named ones. A subject is a module of
+this folder with a function `run()`; heavy imports stay inside it.
 """
 
 from __future__ import annotations
 
 import sys
-import tempfile
-import time
-from collections.abc import Callable
-from pathlib import Path
-from typing import Any
+from importlib import import_module
 
-from rich.console import Console
-from rich.table import Table
+from tests.bench.measure import DATA, console
 
-from flexmap_tasks.config import CollapseParams, FlexMapConfig, MatchParams, TransferParams
-from flexmap_tasks.conflation.collapse import collapse
-from flexmap_tasks.conflation.match import match
-from flexmap_tasks.conflation.transfer import transfer
-from flexmap_tasks.engine.execute import Engine
-from flexmap_tasks.engine.local import run_local
-from flexmap_tasks.formats.config_file import load_config
-from flexmap_tasks.model.maps import LaneletMap, PlacedRoads
-from flexmap_tasks.pipeline import map_update
-from flexmap_tasks.store.store import Store
-from tests.bench.town_copies import copies_of_map, copies_of_roads
-
-PROJECT = Path(__file__).resolve().parents[2]
-PEER_CPU_S = 13.0
-"""The original on the same data and another machine (REFERENCE.md): not measured in this run."""
-
-console = Console(highlight=False)
+SUBJECTS = ("garching",)
 
 
-def best_cpu_s(work: Callable[[], Any], repeat: int = 3) -> float:
-    """CPU seconds of the fastest of `repeat` runs after a warm-up."""
-    work()
-    figures = []
-    for _ in range(repeat):
-        before = time.process_time()
-        work()
-        figures.append(time.process_time() - before)
-    return min(figures)
-
-
-def show(title: str, rows: list[tuple[str, str, str]]) -> None:
-    """A table of (what, figure, goal)."""
-    table = Table("what", "figure", "goal", title=title, box=None, title_justify="left")
-    for row in rows:
-        table.add_row(*row)
-    console.print(table)
-    console.print()
-
-
-def garching() -> None:
-    """The whole route into an empty store, and copies of map and roads side by side."""
-
-    config = load_config(FlexMapConfig, PROJECT / "configs" / "garching.yaml")
-
-    def whole() -> None:
-        with tempfile.TemporaryDirectory() as folder:
-            run_local(Store.open(folder), map_update(config))
-
-    cpu = best_cpu_s(whole)
-    show(
-        "Garching, recording to finished map, empty store",
-        [
-            ("CPU", f"{cpu:.2f} s", ""),
-            ("share of the peer's 13 s", f"{cpu / PEER_CPU_S:.2f}", "at most 0.20"),
-        ],
-    )
-
-    with tempfile.TemporaryDirectory() as folder:
-        engine = Engine(Store.open(folder))
-        outcomes = run_local(engine.store, map_update(config))
-        graph = map_update(config)
-        artifacts = {name: o.artifact for name, o in outcomes.items()}
-        bound = {name: engine.bind(ref, artifacts) for name, ref in graph.nodes["transfer"].inputs.items()}
-        map_ = engine.load(bound["lanelet_map"], LaneletMap)
-        roads = engine.load(bound["roads"], PlacedRoads)
-
-    def conflate(lanelets: LaneletMap, placed: PlacedRoads) -> None:
-        lines = collapse(lanelets, CollapseParams())
-        matched = match(lines, lanelets, placed, MatchParams())
-        transfer(lanelets, lines, matched.matches, placed, TransferParams())
-
-    rows, one = [], 0.0
-    for count in (1, 4, 16):
-        many_map, many_roads = copies_of_map(map_, count), copies_of_roads(roads, count)
-        cpu = best_cpu_s(lambda m=many_map, r=many_roads: conflate(m, r))
-        one = one or cpu
-        goal = "at most 20" if count == 16 else ""
-        rows.append((f"{count} copies", f"{cpu:.2f} s = {cpu / one:.1f} times one", goal))
-    show("Collapse, match and transfer of copies side by side", rows)
-
-
-def main() -> int:
-    """Run the benchmarks that can run here."""
-    if not (PROJECT.parent / "shared" / "data").is_dir():
+def main(wanted: list[str]) -> int:
+    """Run the named subjects, or all; 1 where the real inputs are absent, 2 for an unknown name."""
+    if unknown := [name for name in wanted if name not in SUBJECTS]:
+        console.print(f"no benchmark is called {unknown[0]}; there are: {', '.join(SUBJECTS)}")
+        return 2
+    if not DATA.is_dir():
         console.print("the real inputs are absent (../shared/data): nothing to measure")
         return 1
-    garching()
+    for name in wanted or SUBJECTS:
+        import_module(f"tests.bench.{name}").run()
     return 0
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(main(sys.argv[1:]))
