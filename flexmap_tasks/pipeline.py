@@ -24,12 +24,6 @@ from flexmap_tasks.config import (
     ReportParams,
     SlamParams,
 )
-from flexmap_tasks.conflation.collapse import collapse
-from flexmap_tasks.conflation.gaps import find_gaps
-from flexmap_tasks.conflation.match import match
-from flexmap_tasks.conflation.place_roads import place_roads
-from flexmap_tasks.conflation.review import apply_review
-from flexmap_tasks.conflation.transfer import transfer
 from flexmap_tasks.engine.graph import Graph, Ref, SourceRef
 from flexmap_tasks.evaluation.quality import evaluate
 from flexmap_tasks.georeferencing.bundle import georeference
@@ -41,10 +35,16 @@ from flexmap_tasks.ingest.osm_fetch import fetch_osm, track_box
 from flexmap_tasks.ingest.osm_roads import ingest_osm_roads
 from flexmap_tasks.ingest.point_cloud import ingest_point_cloud
 from flexmap_tasks.ingest.slam import ingest_slam
+from flexmap_tasks.matching.collapse import collapse
+from flexmap_tasks.matching.gaps import find_gaps
+from flexmap_tasks.matching.match import match
+from flexmap_tasks.matching.place_roads import place_roads
 from flexmap_tasks.pipeline_parts import Adjusted, Aligned, Cloud, Conflated, Drawn, Drive
 from flexmap_tasks.report.bundle_check import check_bundle
 from flexmap_tasks.report.exports import export_layers
 from flexmap_tasks.report.report import report
+from flexmap_tasks.transfer.review import apply_review
+from flexmap_tasks.transfer.transfer import transfer
 
 M = TypeVar("M", bound=Params)
 

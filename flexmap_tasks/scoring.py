@@ -17,8 +17,6 @@ from flexmap_tasks.config import (
     Params,
     TruthEvaluationParams,
 )
-from flexmap_tasks.conflation.collapse import collapse
-from flexmap_tasks.conflation.match import match
 from flexmap_tasks.engine.local import run_local
 from flexmap_tasks.engine.release import publish_release
 from flexmap_tasks.engine.stage import stage
@@ -27,6 +25,8 @@ from flexmap_tasks.formats.release_files import Released, read_released
 from flexmap_tasks.ingest.lanelet_map import ingest_lanelet_map
 from flexmap_tasks.ingest.osm_roads import ingest_osm_roads
 from flexmap_tasks.ingest.truth import ingest_truth
+from flexmap_tasks.matching.collapse import collapse
+from flexmap_tasks.matching.match import match
 from flexmap_tasks.model.conflation import Matches
 from flexmap_tasks.model.maps import LaneletMap, PlacedRoads, RoadNetwork
 from flexmap_tasks.model.osm import rows_of

@@ -106,5 +106,15 @@ def first_of_groups(*keys: NDArray[Any]) -> Ints:
     return first
 
 
+def running_maximum(value: Floats, group: Ints) -> Floats:
+    """Largest value so far within each group of neighbouring rows, by doubling."""
+    out, reach = value.copy(), 1
+    while reach < len(out) and (group[reach:] == group[:-reach]).any():
+        same = group[reach:] == group[:-reach]
+        out[reach:] = np.where(same, np.maximum(out[reach:], out[:-reach]), out[reach:])
+        reach *= 2
+    return out
+
+
 def _between(p: Floats, q: Floats, t: Floats) -> Floats:
     return np.where((t >= 1.0)[:, None], q, p + t[:, None] * (q - p))

@@ -5,15 +5,15 @@ from __future__ import annotations
 import tempfile
 
 from flexmap_tasks.config import CollapseParams, FlexMapConfig, MatchParams, TransferParams
-from flexmap_tasks.conflation.collapse import collapse
-from flexmap_tasks.conflation.match import match
-from flexmap_tasks.conflation.transfer import transfer
 from flexmap_tasks.engine.execute import Engine
 from flexmap_tasks.engine.local import run_local
 from flexmap_tasks.formats.config_file import load_config
+from flexmap_tasks.matching.collapse import collapse
+from flexmap_tasks.matching.match import match
 from flexmap_tasks.model.maps import LaneletMap, PlacedRoads
 from flexmap_tasks.pipeline import map_update
 from flexmap_tasks.store.store import Store
+from flexmap_tasks.transfer.transfer import transfer
 from tests.bench.measure import PROJECT, best_cpu_s, show
 from tests.bench.town_copies import copies_of_map, copies_of_roads
 

@@ -22,7 +22,7 @@ def test_a_stage_reaches_what_it_imports_and_no_more():
     found = code_modules(MODULE)
     assert {MODULE, "flexmap_tasks.geometry.rigid"} <= set(found)
     assert not any(name.startswith(("flexmap_tasks.engine", "flexmap_tasks.config")) for name in found)
-    assert "flexmap_tasks.conflation.match" not in found
+    assert "flexmap_tasks.matching.match" not in found
 
 
 def test_comments_and_docstrings_do_not_count_but_code_does(monkeypatch):

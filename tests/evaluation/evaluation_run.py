@@ -25,10 +25,6 @@ from flexmap_tasks.config import (
     TruthEvaluationParams,
     UmeyamaParams,
 )
-from flexmap_tasks.conflation.collapse import collapse
-from flexmap_tasks.conflation.match import match
-from flexmap_tasks.conflation.place_roads import place_roads
-from flexmap_tasks.conflation.transfer import transfer
 from flexmap_tasks.evaluation.evaluate_release import evaluate_release
 from flexmap_tasks.evaluation.quality import evaluate
 from flexmap_tasks.georeferencing.bundle import georeference
@@ -38,6 +34,9 @@ from flexmap_tasks.ingest.lanelet_map import ingest_lanelet_map
 from flexmap_tasks.ingest.osm_roads import ingest_osm_roads
 from flexmap_tasks.ingest.slam import ingest_slam
 from flexmap_tasks.ingest.truth import ingest_truth
+from flexmap_tasks.matching.collapse import collapse
+from flexmap_tasks.matching.match import match
+from flexmap_tasks.matching.place_roads import place_roads
 from flexmap_tasks.model.conflation import LaneCheck, Matches, Transfers
 from flexmap_tasks.model.maps import LaneletMap, RoadNetwork
 from flexmap_tasks.model.projection import Projection
@@ -47,6 +46,7 @@ from flexmap_tasks.model.tracks import Trajectory
 from flexmap_tasks.model.truth import Truth
 from flexmap_tasks.simulate.world import World
 from flexmap_tasks.simulate.write import write_world
+from flexmap_tasks.transfer.transfer import transfer
 
 WORLDS = Path(__file__).resolve().parents[2] / "configs" / "worlds"
 TRUTH_TABLES = ("poses", "map_nodes", "matches", "tags", "lanes")

@@ -18,11 +18,11 @@ from matching_maps import (
 )
 
 from flexmap_tasks.config import CollapseParams, MatchParams
-from flexmap_tasks.conflation.collapse import collapse
-from flexmap_tasks.conflation.match import match
-from flexmap_tasks.conflation.references import reference_lines
 from flexmap_tasks.geometry.buffers import BufferShape, inside
 from flexmap_tasks.geometry.segments import cut
+from flexmap_tasks.matching.buffers.references import reference_lines
+from flexmap_tasks.matching.collapse import collapse
+from flexmap_tasks.matching.match import match
 from flexmap_tasks.model.conflation import References
 from flexmap_tasks.model.match_statistics import match_statistics
 

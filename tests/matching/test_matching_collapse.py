@@ -5,8 +5,8 @@ from hypothesis import strategies as st
 from matching_maps import MapDraft, offset_line, two_way_road, with_other_ids
 
 from flexmap_tasks.config import CollapseParams
-from flexmap_tasks.conflation.collapse import collapse
 from flexmap_tasks.geometry.chains import chains, reciprocated
+from flexmap_tasks.matching.collapse import collapse
 
 PARAMS = CollapseParams()
 X = [(float(x), 0.0) for x in range(0, 101, 20)]

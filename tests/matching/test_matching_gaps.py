@@ -4,10 +4,10 @@ from hypothesis import strategies as st
 from matching_maps import MapDraft, from_ways, roads, two_way_road, ways_of
 
 from flexmap_tasks.config import CollapseParams, MatchParams
-from flexmap_tasks.conflation.collapse import collapse
-from flexmap_tasks.conflation.gaps import _before, gaps
-from flexmap_tasks.conflation.match import match
-from flexmap_tasks.conflation.road_changes import road_changes
+from flexmap_tasks.matching.collapse import collapse
+from flexmap_tasks.matching.gaps import _before, gaps
+from flexmap_tasks.matching.match import match
+from flexmap_tasks.matching.road_changes import road_changes
 
 X = [(float(x), 0.0) for x in range(0, 201, 20)]
 

@@ -18,12 +18,12 @@ from matching_maps import (
 )
 
 from flexmap_tasks.config import CollapseParams, MatchParams
-from flexmap_tasks.conflation.collapse import collapse
-from flexmap_tasks.conflation.match import match
-from flexmap_tasks.conflation.path_samples import samples_of
-from flexmap_tasks.conflation.road_graph import node_distances, one_way_of, road_graph
 from flexmap_tasks.geometry.beliefs import beliefs
 from flexmap_tasks.geometry.transitions import Net, pair_weights
+from flexmap_tasks.matching.collapse import collapse
+from flexmap_tasks.matching.match import match
+from flexmap_tasks.matching.paths.road_graph import node_distances, one_way_of, road_graph
+from flexmap_tasks.matching.paths.samples import samples_of
 
 PARAMS = MatchParams()
 X = [(float(x), 0.0) for x in range(0, 201, 20)]

@@ -9,9 +9,9 @@ import pyproj
 import pytest
 
 from flexmap_tasks.config import OsmRoadsParams
-from flexmap_tasks.conflation.place_roads import place_roads
 from flexmap_tasks.errors import CoverageError
 from flexmap_tasks.ingest.osm_roads import ingest_osm_roads
+from flexmap_tasks.matching.place_roads import place_roads
 from flexmap_tasks.model.alignment import RigidMotion, Warp
 from flexmap_tasks.model.arrays import Floats, strings
 from flexmap_tasks.model.maps import RoadNetwork

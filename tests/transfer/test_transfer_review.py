@@ -8,7 +8,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from flexmap_tasks.conflation.review import apply_review
 from flexmap_tasks.errors import InputError
 from flexmap_tasks.formats.osm_xml import parse_osm_xml
 from flexmap_tasks.formats.review_decisions_csv import read_review_decisions
@@ -16,6 +15,7 @@ from flexmap_tasks.model.arrays import strings
 from flexmap_tasks.model.conflation import Enriched, LaneCheck, Transfers
 from flexmap_tasks.model.maps import Findings, LaneletMap
 from flexmap_tasks.model.source import Source
+from flexmap_tasks.transfer.review import apply_review
 
 HEADER = "lanelet_id,way_id,key,old,new,decision,value,note\n"
 MAP = b"""<osm version="0.6"><relation id="1"><tag k="type" v="lanelet"/><tag k="speed_limit" v="10"/></relation>

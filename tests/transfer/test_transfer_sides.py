@@ -5,8 +5,8 @@ from pathlib import Path
 import pytest
 from transfer_worlds import Draft, along_x, road, roads_of, rows, run
 
-from flexmap_tasks.conflation.lane_check_sides import drives_on_the_right, side_lanes
 from flexmap_tasks.model.lanelets import lanelets_of
+from flexmap_tasks.transfer.side_check import drives_on_the_right, side_lanes
 
 
 @pytest.mark.parametrize(

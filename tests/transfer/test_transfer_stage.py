@@ -19,8 +19,8 @@ from transfer_worlds import (
 )
 
 from flexmap_tasks.config import TransferParams, TransferRule
-from flexmap_tasks.conflation.lane_check import expected_lanes
 from flexmap_tasks.model.lanelets import lanelets_of
+from flexmap_tasks.transfer.lane_check import expected_lanes
 
 
 def one_road(tmp_path: Path, **tags: str):

@@ -5,7 +5,7 @@ import math
 import pytest
 
 from flexmap_tasks.config import TransferParams, TransferRule
-from flexmap_tasks.conflation.osm_values import (
+from flexmap_tasks.transfer.values import (
     Offer,
     count,
     format_kmh,

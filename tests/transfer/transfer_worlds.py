@@ -9,16 +9,16 @@ import numpy as np
 from pyproj import Transformer
 
 from flexmap_tasks.config import CollapseParams, TransferParams
-from flexmap_tasks.conflation.collapse import collapse
-from flexmap_tasks.conflation.transfer import transfer
 from flexmap_tasks.formats.osm_xml_write import write_osm_xml
 from flexmap_tasks.ingest.lanelet_map import ingest_lanelet_map
+from flexmap_tasks.matching.collapse import collapse
 from flexmap_tasks.model.arrays import strings
 from flexmap_tasks.model.conflation import Enriched, Matches
 from flexmap_tasks.model.lanelets import centrelines, lanelets_of, lengths_m
 from flexmap_tasks.model.maps import LaneletMap, PlacedRoads, RoadNetwork
 from flexmap_tasks.model.osm import Tags
 from flexmap_tasks.model.source import Source
+from flexmap_tasks.transfer.transfer import transfer
 
 EAST_M, NORTH_M = 690_000.0, 5_335_000.0
 LANE_M = 3.5

@@ -1,1 +1,0 @@
-"""What OpenStreetMap knows goes into the lanelets."""

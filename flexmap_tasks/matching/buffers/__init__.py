@@ -1,0 +1,1 @@
+"""The paper's matching: buffers that grow around reference polylines."""

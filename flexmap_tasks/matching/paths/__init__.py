@@ -1,0 +1,1 @@
+"""Global matching: lanes as paths on the graph of roads."""

@@ -1,0 +1,1 @@
+"""What OpenStreetMap knows goes into the lanelets, without harm."""

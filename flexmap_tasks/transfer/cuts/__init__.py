@@ -1,0 +1,1 @@
+"""Lanelets cut where a value that lands changes along them."""
