@@ -52,7 +52,8 @@ class PointCloudParams(Params):
         description="edge of a tile, axis-parallel in the map frame; whole metres, as Autoware's loader wants",
     )
     voxel_size_m: Annotated[float, Field(ge=0, allow_inf_nan=False)] = Field(
-        0.0, description="one point kept per voxel of this edge, at least 0.001; 0 keeps all"
+        0.0,
+        description="of each voxel of this edge the point nearest its middle stays; at least 0.001; 0 keeps all",
     )
     outlier_neighbours: Annotated[int, Field(ge=0, le=1000)] = Field(
         0,

@@ -35,7 +35,7 @@ class PcdReader:
 
     def __init__(self, source: Source) -> None:
         self.source = source
-        with _opened(source) as file:
+        with opened(source) as file:
             self.header: PcdHeader = read_header(file, source)
             self._size = os.fstat(file.fileno()).st_size
 
@@ -46,6 +46,15 @@ class PcdReader:
         return pose != IDENTITY and pose != (*IDENTITY[:3], -1.0, *IDENTITY[4:])
 
     @property
+    def points(self) -> int:
+        """Points that the header declares."""
+        return self.header.points
+
+    def findings(self) -> list[tuple[str, str, str]]:
+        """Nothing is odd about a PCD file that can be read."""
+        return []
+
+    @property
     def record_type(self) -> np.dtype[Any]:
         """Type of the records in the blocks."""
         if self.header.encoding == "ascii":
@@ -54,7 +63,7 @@ class PcdReader:
 
     def blocks(self) -> Iterator[Records]:
         """All points in the order of the file, at most about 16 MiB at a time."""
-        with _opened(self.source) as file:
+        with opened(self.source) as file:
             file.seek(self.header.data_start)
             if self.header.encoding == "ascii":
                 yield from ascii_records(file, self.header, self.source)
@@ -201,11 +210,12 @@ def no_room(error: OSError) -> StoreError:
 
 
 @contextmanager
-def _opened(source: Source) -> Iterator[BinaryIO]:
+def opened(source: Source) -> Iterator[BinaryIO]:
+    """The file, open for reading; an InputError where there is none."""
     try:
         file = source.path.open("rb")
     except FileNotFoundError:
-        raise InputError(source.name, "no such file; give the path of a PCD point cloud") from None
+        raise InputError(source.name, "no such file; give the path of a point cloud") from None
     except OSError as error:
         raise InputError(source.name, f"cannot be read: {error.strerror or error}") from None
     with file:

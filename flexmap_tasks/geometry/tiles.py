@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -34,23 +36,61 @@ def group_by_tile(
     return order, starts, np.column_stack(np.divmod(in_order[first], height)) + low
 
 
-def first_per_voxel(xyz_m: NDArray[np.float64], size_m: float) -> NDArray[np.int64]:
-    """Rows of the first point in every voxel, ascending; voxels are floor(xyz / size_m).
+def nearest_per_voxel(
+    xyz_m: NDArray[np.float64], size_m: float, content: Callable[[int], bytes] | None = None
+) -> NDArray[np.int64]:
+    """Rows of the point nearest to the middle of every voxel, ascending; voxels are floor(xyz / size_m).
 
     xyz_m : (n, 3) metres, finite, |xyz / size_m| < 2^53
+    content : what else a row holds; decides between points at one place, so that their order does not
+
+    The same points stay whatever order they come in.
     """
     if not len(xyz_m):
         return np.empty(0, np.int64)
-    cells = [np.floor(xyz_m[:, axis] / size_m).astype(np.int64) for axis in range(3)]
-    cells = [c - c.min() for c in cells]
-    span = [int(c.max()) + 1 for c in cells]
-    row_bits = len(xyz_m).bit_length()
-    if (span[0] * span[1] * span[2]).bit_length() + row_bits < 63:
-        # voxel and row in one number: its plain sort is several times faster than a stable sort of rows
-        code = (cells[0] * span[1] + cells[1]) * span[2] + cells[2]
-        packed = np.sort((code << row_bits) | np.arange(len(code)))
-        new = np.append(True, np.diff(packed >> row_bits) != 0)
-        first = packed[new] & ((1 << row_bits) - 1)
+    cells = np.floor(xyz_m / size_m)
+    away = (((xyz_m / size_m - cells) - 0.5) ** 2).sum(axis=1)
+    order, starts = _by_voxel(cells)
+    least = np.minimum.reduceat(away[order], starts[:-1])
+    size = np.diff(starts)
+    close = away[order] == np.repeat(least, size)
+    rows, voxel = order[close], np.repeat(np.arange(len(size)), size)[close]
+    if len(rows) > len(size):  # several are equally near
+        rows, voxel = _settle(rows, voxel, xyz_m, content)
+    return np.sort(rows).astype(np.int64)
+
+
+def _by_voxel(cells: NDArray[np.float64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Rows sorted by voxel (n,), and where each voxel starts in them (v + 1,)."""
+    low = cells.min(axis=0)
+    span = [int(v) + 1 for v in cells.max(axis=0) - low]
+    if span[0] * span[1] * span[2] < 1 << 62:
+        x, y, z = (cells - low).astype(np.int64).T
+        code = (x * span[1] + y) * span[2] + z
+        order = np.argsort(code, kind="stable")
+        new = np.diff(code[order]) != 0
     else:
-        first = np.unique(np.column_stack(cells), axis=0, return_index=True)[1]
-    return np.sort(first).astype(np.int64)
+        order = np.lexsort(cells.T)
+        new = (np.diff(cells[order], axis=0) != 0).any(axis=1)
+    return order, np.concatenate([[0], np.flatnonzero(new) + 1, [len(order)]]).astype(np.int64)
+
+
+def _settle(
+    rows: NDArray[np.int64],
+    voxel: NDArray[np.int64],
+    xyz_m: NDArray[np.float64],
+    content: Callable[[int], bytes] | None,
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Of the rows of each voxel the one with the least coordinates, then content, then number."""
+    order = np.lexsort((rows, *xyz_m[rows].T[::-1], voxel))
+    rows, voxel = rows[order], voxel[order]
+    starts = np.flatnonzero(np.append(True, np.diff(voxel) != 0))
+    stops = np.append(starts[1:], len(rows))
+    chosen = rows[starts]
+    if content is not None:
+        for i in np.flatnonzero(stops - starts > 1).tolist():
+            group = rows[starts[i] : stops[i]]
+            same = group[(xyz_m[group] == xyz_m[group[0]]).all(axis=1)].tolist()
+            if len(same) > 1:
+                chosen[i] = min(same, key=content)
+    return chosen, voxel[starts]

@@ -19,7 +19,7 @@ from flexmap_tasks.config import PointCloudParams
 from flexmap_tasks.errors import InputError, StoreError
 from flexmap_tasks.formats.pcd_open3d import check_open3d, inlier_rows
 from flexmap_tasks.formats.pcd_spill import Spill
-from flexmap_tasks.geometry.tiles import first_per_voxel, group_by_tile
+from flexmap_tasks.geometry.tiles import group_by_tile, nearest_per_voxel
 from flexmap_tasks.ingest.point_cloud import ingest_point_cloud
 from flexmap_tasks.model.clouds import Tiles, tile_key, tile_numbers
 from flexmap_tasks.model.source import Source
@@ -101,12 +101,28 @@ def test_grouping_far_apart_points_needs_no_room() -> None:
     st.sampled_from([0.5, 1.0, 3.7]),
     st.sampled_from([1.0, 1e7]),
 )
-def test_the_first_point_of_every_voxel_stays(xyz_m: np.ndarray, size_m: float, spread: float) -> None:
-    xyz_m = xyz_m * spread  # so far apart that voxel and row do not fit one number
-    first: dict[tuple[float, ...], int] = {}
-    for row, voxel in enumerate(np.floor(xyz_m / size_m).tolist()):
-        first.setdefault(tuple(voxel), row)
-    assert first_per_voxel(xyz_m, size_m).tolist() == sorted(first.values())
+def test_the_point_nearest_the_middle_of_every_voxel_stays(
+    xyz_m: np.ndarray, size_m: float, spread: float
+) -> None:
+    xyz_m = xyz_m * spread  # so far apart that the voxels' numbers do not fit 62 bits
+    best: dict[tuple[float, ...], tuple[float, ...]] = {}
+    for row, point in enumerate(xyz_m):
+        cell = np.floor(point / size_m)
+        away = float((((point / size_m - cell) - 0.5) ** 2).sum())
+        mine = (away, *point.tolist(), row)
+        best[tuple(cell.tolist())] = min(best.get(tuple(cell.tolist()), mine), mine)
+    assert nearest_per_voxel(xyz_m, size_m).tolist() == sorted(int(b[-1]) for b in best.values())
+
+
+def test_the_same_points_stay_in_whatever_order_they_come() -> None:
+    rng = np.random.default_rng(9)
+    records = records_of(rng.integers(-40, 40, (3000, 3)) / 4)  # on a raster: ties and points at one place
+    kept = []
+    for order in (np.arange(3000), rng.permutation(3000)):
+        tiles = ingest(records[order], PointCloudParams(voxel_size_m=1.0))
+        kept.append({int(r) for t in tiles.tiles.values() for r in t.fields["row"]})
+    assert kept[0] == kept[1]
+    assert len(kept[0]) < 3000
 
 
 def test_thinning_keeps_fields_and_counts() -> None:
@@ -114,7 +130,7 @@ def test_thinning_keeps_fields_and_counts() -> None:
     xyz_m = rng.uniform(-30, 30, (5000, 3)) * [1, 1, 0.05]
     tiles = ingest(records_of(xyz_m), PointCloudParams(voxel_size_m=2.5))
     rows = np.sort(np.concatenate([t.fields["row"] for t in tiles.tiles.values()]))
-    assert rows.tolist() == first_per_voxel(xyz_m, 2.5).tolist()  # 2.5 m voxels do not cross 20 m tiles
+    assert rows.tolist() == nearest_per_voxel(xyz_m, 2.5).tolist()  # 2.5 m voxels do not cross 20 m tiles
     assert tiles.index.count.sum() == len(rows)
     for key, tile in tiles.tiles.items():
         np.testing.assert_array_equal(tile.xyz_m, xyz_m[tile.fields["row"]])
@@ -179,7 +195,7 @@ def test_coarse_float32_coordinates_are_reported() -> None:
 
 
 def test_stray_points_all_over_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("flexmap_tasks.ingest.point_cloud.MAX_TILES", 10)
+    monkeypatch.setattr("flexmap_tasks.ingest.tiling.MAX_TILES", 10)
     with pytest.raises(InputError, match="11 tiles of 20 m, more than 10"):
         ingest(records_of(np.arange(11)[:, None] * [25.0, 0.0, 0.0]))
 
