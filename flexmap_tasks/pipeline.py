@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, TypeVar
+from typing import Any
 
 from flexmap_tasks.alignment.align_track import align_track
 from flexmap_tasks.alignment.cloud_extent import cloud_extent
@@ -19,7 +19,6 @@ from flexmap_tasks.config import (
     GraphHeldOutParams,
     OsmInput,
     OsmRoadsParams,
-    Params,
     PointCloudParams,
     ReportParams,
     SlamParams,
@@ -35,18 +34,11 @@ from flexmap_tasks.ingest.osm_fetch import fetch_osm, track_box
 from flexmap_tasks.ingest.osm_roads import ingest_osm_roads
 from flexmap_tasks.ingest.point_cloud import ingest_point_cloud
 from flexmap_tasks.ingest.slam import ingest_slam
-from flexmap_tasks.matching.collapse import collapse
-from flexmap_tasks.matching.gaps import find_gaps
-from flexmap_tasks.matching.match import match
-from flexmap_tasks.matching.place_roads import place_roads
-from flexmap_tasks.pipeline_parts import Adjusted, Aligned, Cloud, Conflated, Drawn, Drive
+from flexmap_tasks.pipeline_conflation import Maps, conflate, with_edits
+from flexmap_tasks.pipeline_parts import Adjusted, Aligned, Cloud, Conflated, Drawn, Drive, only
 from flexmap_tasks.report.bundle_check import check_bundle
 from flexmap_tasks.report.exports import export_layers
 from flexmap_tasks.report.report import report
-from flexmap_tasks.transfer.review import apply_review
-from flexmap_tasks.transfer.transfer import transfer
-
-M = TypeVar("M", bound=Params)
 
 
 def map_update(config: FlexMapConfig) -> Graph:
@@ -64,7 +56,14 @@ def map_update(config: FlexMapConfig) -> Graph:
     moves_map = config.alignment.master == "gnss"
     if lanelets is not None and moves_map:
         lanelets = graph.run(georeference_map, lanelet_map=lanelets, warp=aligned.warp)
-    conflated = _conflate(graph, config, lanelets, roads, aligned) if lanelets and roads else None
+    last_release = None
+    if lanelets is not None:
+        lanelets, last_release = with_edits(
+            graph, config, lanelets, aligned.projection if moves_map else None
+        )
+    conflated = (
+        conflate(graph, config, Maps(lanelets, roads, last_release), aligned) if lanelets and roads else None
+    )
     bundle = cloud = None
     if lanelets is not None:
         finished = conflated.enriched.field("map") if conflated else lanelets
@@ -183,38 +182,6 @@ def _adjust(
     return Adjusted(adjusted, antenna, withheld)
 
 
-def _conflate(graph: Graph, config: FlexMapConfig, lanelets: Ref, roads: Ref, aligned: Aligned) -> Conflated:
-    conflation = config.conflation
-    placed = graph.run(
-        place_roads,
-        roads=roads,
-        projection=aligned.projection,
-        gnss=aligned.gnss_track,
-        warp=aligned.warp if config.alignment.master == "slam" else None,
-    )
-    centerlines = graph.run(collapse, conflation.collapse, lanelet_map=lanelets)
-    matched = graph.run(match, conflation.match, centerlines=centerlines, lanelet_map=lanelets, roads=placed)
-    enriched = graph.run(
-        transfer,
-        conflation.transfer,
-        lanelet_map=lanelets,
-        centerlines=centerlines,
-        matches=matched.field("matches"),
-        roads=placed,
-    )
-    if conflation.review_file is not None:
-        enriched = graph.run(apply_review, enriched=enriched, source=SourceRef(conflation.review_file))
-    missing = graph.run(
-        find_gaps, conflation.gaps, centerlines=centerlines, roads=placed, matches=matched.field("matches")
-    )
-    graph.publish("gaps.parquet", missing)
-    graph.publish("matches.parquet", matched.field("matches"))
-    graph.publish("transfer.parquet", enriched.field("transfers"))
-    graph.publish("lane_check.parquet", enriched.field("lane_check"))
-    graph.publish("findings.parquet", enriched.field("findings"))
-    return Conflated(matched, enriched)
-
-
 def _georeference_cloud(graph: Graph, config: FlexMapConfig, tiles: Ref, warp: Ref | None) -> Cloud:
     assert config.point_cloud is not None  # noqa: S101 - there are tiles
     params = only(PointCloudParams, config.point_cloud)
@@ -301,8 +268,3 @@ def _report(graph: Graph, config: FlexMapConfig, drawn: Drawn) -> None:
     )
     graph.publish(".", page)
     graph.publish("layers/", graph.run(export_layers, params, aligned=aligned.track, **shown))
-
-
-def only(kind: type[M], settings: M) -> M:
-    """The settings of an input without its path: what the stage gets."""
-    return kind.model_validate({name: getattr(settings, name) for name in kind.model_fields})

@@ -3,8 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TypeVar
 
+from flexmap_tasks.config import Params
 from flexmap_tasks.engine.graph import Ref
+
+M = TypeVar("M", bound=Params)
+
+
+def only(kind: type[M], settings: M) -> M:
+    """The settings of an input without its path: what the stage gets."""
+    return kind.model_validate({name: getattr(settings, name) for name in kind.model_fields})
 
 
 @dataclass(frozen=True, slots=True)

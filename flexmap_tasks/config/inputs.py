@@ -38,10 +38,20 @@ class SlamInput(SlamParams):
     file: Path
 
 
+class EditsInput(Params):
+    """What a person has changed in a released map: the release they opened, and what they saved."""
+
+    released: Path = Field(description="lanelet2_map.osm of the release that was opened")
+    edited: Path = Field(description="the same map as it was saved after editing")
+
+
 class LaneletMapInput(Params):
     """The Lanelet2 map in the SLAM frame."""
 
     file: Path
+    edits: EditsInput | None = Field(
+        None, description="a released map that a person has edited since: their edits are kept"
+    )
 
 
 class PointCloudParams(Params):
@@ -112,6 +122,10 @@ class OsmInput(OsmRoadsParams):
 
     file: Path | None = None
     fetch: OsmFetchParams | None = None
+    previous: Path | None = Field(
+        None,
+        description="an extract of another date: road_changes.parquet says what changed on matched roads",
+    )
 
     @model_validator(mode="after")
     def _one_of(self) -> OsmInput:

@@ -105,6 +105,12 @@ class Graph:
         """Add a stage; an input that is None is left to the stage's default None."""
         return self._add(stage, params, inputs)
 
+    def run_as(
+        self, name: str, stage: AnyStage, params: Params | None = None, /, **inputs: Input | None
+    ) -> Ref:
+        """Add a stage under a name of its own: one that stands in the graph more than once."""
+        return self._add(stage, params, inputs, named=name)
+
     def run_each(
         self, stage: AnyStage, each: str, params: Params | None = None, *, narrow: Narrow | None = None,
         **inputs: Input | None,
@@ -124,13 +130,13 @@ class Graph:
 
     def _add(
         self, stage: AnyStage, params: Params | None, inputs: Mapping[str, Input | None],
-        each: str | None = None, narrow: Narrow | None = None,
+        each: str | None = None, narrow: Narrow | None = None, named: str | None = None,
     ) -> Ref:  # fmt: skip
-        given = {name: ref for name, ref in inputs.items() if ref is not None}
-        if stage.name in self.nodes:
-            raise ValueError(f"stage {stage.name} stands twice in the graph")
-        self.nodes[stage.name] = Node(stage.name, stage, given, params, each, narrow)
-        return Ref(stage.name, stage.artifact)
+        given, name = {key: ref for key, ref in inputs.items() if ref is not None}, named or stage.name
+        if name in self.nodes:
+            raise ValueError(f"stage {name} stands twice in the graph; give one of them another name")
+        self.nodes[name] = Node(name, stage, given, params, each, narrow)
+        return Ref(name, stage.artifact)
 
     def __iter__(self) -> Iterator[Node]:
         return iter(self.nodes.values())

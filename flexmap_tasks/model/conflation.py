@@ -140,7 +140,10 @@ class RoadChanges:
     way_id : (n,) int64; kind : (n,) str, "tag", "geometry", "gone" or "new"
     key, old, new : (n,) str, of a tag, "" otherwise
     moved_m : (n,) float64, greatest distance between the old and the new course, NaN where it is no "geometry"
-    version_old, version_new : (n,) int64, 0 where the way did not exist; timestamp_new : (n,) str
+    version_old, version_new : (n,) int64, 0 where the way did not exist
+    timestamp_old, timestamp_new : (n,) str, RFC 3339 UTC, "" where the way did not exist
+    lanelets : (n,) str, ids of the lanelets that are or were matched to the way, with blanks between
+    lon_deg, lat_deg : (n,) float64, WGS84, in the middle of the way
     """
 
     way_id: Ints
@@ -151,7 +154,11 @@ class RoadChanges:
     moved_m: Floats
     version_old: Ints
     version_new: Ints
+    timestamp_old: Strings
     timestamp_new: Strings
+    lanelets: Strings
+    lon_deg: Floats
+    lat_deg: Floats
 
     def __len__(self) -> int:
         return len(self.way_id)

@@ -12,6 +12,7 @@ from typing import ClassVar
 
 import numpy as np
 
+from flexmap_tasks.geometry.lanelets import gather
 from flexmap_tasks.model.arrays import Floats, Ints, Strings, require, strings
 
 
@@ -116,6 +117,11 @@ class OsmNodes:
     tags: Tags
     position: Ints
 
+    def take(self, rows: Ints) -> OsmNodes:
+        """The given nodes."""
+        texts = (self.attributes.take(rows), self.tags.take(rows))
+        return OsmNodes(self.id[rows], self.lonlat_deg[rows], *texts, self.position[rows])
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class OsmWays:
@@ -133,6 +139,12 @@ class OsmWays:
     attributes: Tags
     tags: Tags
     position: Ints
+
+    def take(self, rows: Ints) -> OsmWays:
+        """The given ways."""
+        offset, flat = _pieces(self.offset, rows)
+        texts = (self.attributes.take(rows), self.tags.take(rows))
+        return OsmWays(self.id[rows], offset, self.ref[flat], *texts, self.position[rows])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -155,6 +167,19 @@ class OsmRelations:
     tags: Tags
     position: Ints
 
+    def take(self, rows: Ints) -> OsmRelations:
+        """The given relations, with all their members."""
+        offset, flat = _pieces(self.offset, rows)
+        members = (self.member_type[flat], self.member_ref[flat], self.member_role[flat])
+        return OsmRelations(
+            self.id[rows],
+            offset,
+            *members,
+            self.attributes.take(rows),
+            self.tags.take(rows),
+            self.position[rows],
+        )
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class OsmDocument:
@@ -171,6 +196,10 @@ class OsmDocument:
     relations: OsmRelations
     other_xml: Strings
     other_position: Ints
+
+
+def _pieces(offset: Ints, rows: Ints) -> tuple[Ints, Ints]:
+    return gather(offset, rows, np.zeros(len(rows), dtype=bool))
 
 
 def rows_of(ids: Ints, wanted: Ints) -> Ints:

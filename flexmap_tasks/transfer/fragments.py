@@ -8,7 +8,6 @@ import numpy as np
 import shapely
 from numpy.typing import NDArray
 
-from flexmap_tasks.geometry.lanelets import gather
 from flexmap_tasks.model.arrays import Bools, Floats, Ints, Strings
 from flexmap_tasks.model.conflation import LaneCheck
 from flexmap_tasks.model.lanelets import end_nodes
@@ -151,16 +150,5 @@ def without(lanelet_map: LaneletMap, lanelet_ids: Ints) -> LaneletMap:
     keep = np.flatnonzero(
         ~((relations.tags.column("type") == "lanelet") & np.isin(relations.id, lanelet_ids))
     )
-    offset, flat = gather(relations.offset, keep, np.zeros(len(keep), dtype=bool))
-    kept = replace(
-        relations,
-        id=relations.id[keep],
-        offset=offset,
-        member_type=relations.member_type[flat],
-        member_ref=relations.member_ref[flat],
-        member_role=relations.member_role[flat],
-        attributes=relations.attributes.take(keep),
-        tags=relations.tags.take(keep),
-        position=relations.position[keep],
-    )
-    return replace(lanelet_map, document=replace(lanelet_map.document, relations=kept))
+    document = replace(lanelet_map.document, relations=relations.take(keep))
+    return replace(lanelet_map, document=document)

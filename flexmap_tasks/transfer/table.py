@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -136,7 +136,7 @@ class Case:
 
     tags : as they are; open_to_cars : cars may use it
     speed_rule : what a speed limit rule of the map says of it, see `LaneletFacts`
-    released : its tags in the last release, None where it had none
+    released : its tags in the last release, none where it was not in it; None where there is no last release
     """
 
     tags: Mapping[str, str]
@@ -162,7 +162,9 @@ def contexts_of(
     """Lanelets with the same subtype and the same values under every rule, now and released, decide alike."""
     keys = sorted({rule.target for rule in params.rules} | {"subtype"})
     now = _values(facts.tags, keys, np.arange(len(facts.lanelets)))
-    before = [None] * len(now) if last_release is None else _released(last_release, keys, facts)
+    before: Sequence[tuple[str | None, ...] | None] = (
+        [None] * len(now) if last_release is None else _released(last_release, keys, facts)
+    )
     codes: dict[tuple[object, ...], int] = {}
     lanelets: list[Case] = []
     code = np.zeros(len(now), dtype=np.int64)
@@ -180,14 +182,13 @@ def _values(tags: Tags, keys: list[str], rows: Ints) -> list[tuple[str | None, .
     return list(zip(*(tags.column(key)[rows].tolist() for key in keys), strict=True))
 
 
-def _released(
-    last_release: LaneletMap, keys: list[str], facts: LaneletFacts
-) -> list[tuple[str | None, ...] | None]:
+def _released(last_release: LaneletMap, keys: list[str], facts: LaneletFacts) -> list[tuple[str | None, ...]]:
     relations = last_release.document.relations
     row = rows_of(relations.id, facts.lanelets.id)
     known = (row >= 0) & (relations.tags.column("type") == "lanelet")[row]
     values = _values(relations.tags, keys, row)
-    return [v if k else None for v, k in zip(values, known.tolist(), strict=True)]
+    absent = (None,) * len(keys)  # drawn since: all that it says a person has said
+    return [v if k else absent for v, k in zip(values, known.tolist(), strict=True)]
 
 
 def _mapping(keys: list[str], values: tuple[str | None, ...]) -> dict[str, str]:
