@@ -8,7 +8,7 @@ export PREFECT_SERVER_ANALYTICS_ENABLED = false
 export DO_NOT_TRACK = 1
 export PREFECT_SERVER_EPHEMERAL_STARTUP_TIMEOUT_SECONDS = 120
 
-.PHONY: demo test lint bench soak screenshots clean system
+.PHONY: demo test lint bench soak screenshots clean system .venv-peers
 
 demo: $(VENV)/run  ## build .venv and make the map of a simulated town, through Prefect
 	$(BIN)/flexmap demo
@@ -23,6 +23,7 @@ lint: $(VENV)/dev  ## style, types and the layers of the house
 	$(BIN)/lint-imports
 
 bench: $(VENV)/dev  ## speed beside peers measured in the same run, and growth over sizes
+	@$(MAKE) .venv-peers || echo "note: other workflow tools cannot be installed here; they are left out"
 	$(BIN)/python -m tests.bench
 
 soak: $(VENV)/dev  ## what takes long: hundreds of kills, a fleet of 20 maps over 3 nights, planning of many maps
@@ -48,5 +49,12 @@ $(VENV)/dev: $(VENV)/run
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[test,lint]'
 	touch $@
 
+.venv-peers: .venv-peers/done  ## other workflow tools, to measure beside FlexMap; in an environment of their own
+
+.venv-peers/done: tests/bench/peers.txt | system
+	test -x .venv-peers/bin/python || $(PYTHON) -m venv .venv-peers
+	.venv-peers/bin/python -m pip install --quiet --disable-pip-version-check -r $<
+	touch $@
+
 clean:  ## remove the environment; the artifact store stays
-	rm -rf $(VENV) build *.egg-info .mypy_cache .ruff_cache .pytest_cache .import_linter_cache
+	rm -rf $(VENV) .venv-peers build *.egg-info .mypy_cache .ruff_cache .pytest_cache .import_linter_cache

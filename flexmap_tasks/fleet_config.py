@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import Field, model_validator
+from pydantic import Field, StringConstraints, model_validator
 
 from flexmap_tasks.config import Name, NonNegative, OsmInput, Params, Positive
 
@@ -14,8 +14,8 @@ class Recordings(Params):
     """Where the recordings of a map arrive."""
 
     folder: Path
-    pattern: str = Field(
-        "*.mcap", min_length=1, description="glob below the folder; `*/recording.mcap` works too"
+    pattern: Annotated[str, StringConstraints(min_length=1, pattern=r"^[^/]")] = Field(
+        "*.mcap", description="glob below the folder; `*/recording.mcap` and `**/*.mcap` work too"
     )
     take: Literal["newest", "all"] = Field(
         "newest",

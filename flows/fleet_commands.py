@@ -19,9 +19,10 @@ from flexmap_tasks.errors import FlexMapError
 from flexmap_tasks.fleet_config import FleetConfig
 from flexmap_tasks.store.store import Store
 from flows import console
-from flows.fleet_jobs import Job, find_jobs, find_recordings, load_fleet, open_store
+from flows.fleet_jobs import Job, find_jobs, load_fleet, open_store
 from flows.fleet_plan import Row, Todo, plan_fleet, plan_job
 from flows.fleet_processes import run_processes
+from flows.fleet_recordings import find_recordings
 from flows.running import PREFECT_SETTINGS
 
 HEADLINE = ("deviation_after_valid_rmse", "match_rate_by_length", "lanes_differ", "transfers_review")
@@ -181,7 +182,7 @@ def arrived(fleet: FleetConfig) -> dict[str, frozenset[tuple[str, int]]]:
     for entry in fleet.maps:
         if entry.recordings is not None and entry.recordings.folder.is_dir():
             files, _ = find_recordings(entry.recordings, time.time())
-            found[entry.name] = frozenset((str(f), f.stat().st_mtime_ns) for f in files)
+            found[entry.name] = frozenset((file.path, file.written_ns) for file in files)
     return found
 
 

@@ -8,6 +8,7 @@ anything differs, or a file is so young that its stamp may lie, the map is plann
 
 from __future__ import annotations
 
+import os
 import sys
 import time
 from collections.abc import Iterable, Mapping
@@ -15,17 +16,16 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from flexmap_tasks.engine.finished import Look, Watched
+from flexmap_tasks.engine.finished import Watched, code_files
 from flexmap_tasks.engine.libraries import library_versions
+from flexmap_tasks.engine.sources import RACY_NS, Look, is_old, look
 from flexmap_tasks.errors import InputError
 from flexmap_tasks.fleet_config import FleetConfig, FleetMap
 from flexmap_tasks.store.artifact import canonical_json, digest_of, seal, unseal
 from flexmap_tasks.store.store import Store
-from flows.fleet_jobs import find_recordings
+from flows.fleet_recordings import find_recordings
 
 FORMAT = 1
-YOUNG_NS = 2_000_000_000
-"""A file younger than this may still change within the resolution of its time stamps."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,14 +70,12 @@ class Index:
     ) -> Settled | None:
         """A line for a map just settled; None when its files are too young to trust their stamps."""
         mark, newest_ns = self._mark(entry)
-        config = look(str(entry.config))
-        files = {path: stamp for path, stamp in watched.files.items() if not path.endswith(".py")}
-        newest_ns = max(newest_ns, *config[1:3]) if config else time.time_ns()
-        if mark is None or not watched.steady or newest_ns > time.time_ns() - YOUNG_NS:
+        config = look(entry.config)
+        now_ns = time.time_ns()
+        if mark is None or not watched.steady or not is_old(config, now_ns) or newest_ns > now_ns - RACY_NS:
             return None
-        return Settled(
-            mark, {**files, str(entry.config): config}, _latest(self._store, entry.name), expires_s, row
-        )
+        files = {**watched.inputs, str(entry.config): config}
+        return Settled(mark, files, _latest(self._store, entry.name), expires_s, row)
 
     def write(self, entries: Iterable[FleetMap], new: Mapping[str, Settled]) -> None:
         """Keep the lines of maps that are in the fleet, with those that are new."""
@@ -93,36 +91,28 @@ class Index:
         newest_ns = 0
         if entry.recordings is not None:
             try:
-                files, moving = find_recordings(entry.recordings, time.time())
+                arrived, moving = find_recordings(entry.recordings, time.time())
             except InputError:
                 return None, 0
-            looks = [look(str(file)) for file in files]
-            if moving or not all(looks):
+            if moving:
                 return None, 0
-            found.append([[str(file), stamp] for file, stamp in zip(files, looks, strict=True)])
-            newest_ns = max((max(stamp[1:3]) for stamp in looks), default=0)
+            found.append([[recording.path, recording.stamp] for recording in arrived])
+            newest_ns = max((max(recording.stamp[1:3]) for recording in arrived), default=0)
         return digest_of(canonical_json(found)), newest_ns
 
 
 def made_with() -> str:
     """Digest over the stamps of our code and the versions of the libraries."""
     root = Path(__file__).resolve().parents[1]
-    code = sorted(str(p) for package in ("flexmap_tasks", "flows") for p in (root / package).rglob("*.py"))
+    code = [str(path) for package in ("flexmap_tasks", "flows") for path in code_files(root / package)]
     return digest_of(canonical_json([[[path, look(path)] for path in code], library_versions(), sys.version]))
 
 
-def look(path: str) -> Look:
-    """Size, time of last write, time of last change, inode; empty when there is no such file."""
-    try:
-        stat = Path(path).stat()
-    except OSError:
-        return []
-    return [stat.st_size, stat.st_mtime_ns, stat.st_ctime_ns, stat.st_ino]
-
-
 def _latest(store: Store, name: str) -> str | None:
-    latest = store.releases / name / "latest"
-    return latest.readlink().name if latest.is_symlink() else None
+    try:
+        return os.readlink(f"{store.releases}/{name}/latest")  # noqa: PTH115 - asked of every map of a fleet
+    except OSError:
+        return None
 
 
 def _path(fleet: FleetConfig) -> str:

@@ -6,14 +6,15 @@ import json
 import time
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from typing import Any
 
 from flexmap_tasks.config import FlexMapConfig
 from flexmap_tasks.errors import FlexMapError, InputError
-from flexmap_tasks.fleet_config import FleetConfig, FleetMap, Recordings
+from flexmap_tasks.fleet_config import FleetConfig, FleetMap
 from flexmap_tasks.formats.config_file import load_config
 from flexmap_tasks.store.store import Store
+from flows.fleet_recordings import Recording, find_recordings
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,32 +69,16 @@ def jobs_of(fleet: FleetConfig, entry: FleetMap, now_s: float) -> Iterator[Job]:
         yield _job(fleet, entry, entry.name, settled[-1], moving)
     else:
         for file in settled:
-            yield _job(fleet, entry, f"{entry.name}.{_label(entry.recordings.folder, file)}", file, moving)
+            yield _job(fleet, entry, f"{entry.name}.{_label(file)}", file, moving)
 
 
-def find_recordings(recordings: Recordings, now_s: float) -> tuple[list[Path], int]:
-    """Recordings that are complete, the newest last, and how many are still on their way. Raises InputError."""
-    if not recordings.folder.is_dir():
-        raise InputError(str(recordings.folder), "no such folder; recordings of a fleet's map arrive there")
-    try:
-        stats = [(file, file.stat()) for file in recordings.folder.glob(recordings.pattern) if file.is_file()]
-    except (OSError, ValueError, NotImplementedError) as error:
-        raise InputError(
-            str(recordings.folder), f"cannot be searched for {recordings.pattern} ({error})"
-        ) from error
-    settled = [(file, stat) for file, stat in stats if stat.st_mtime <= now_s - recordings.settle_s]
-    by_time = recordings.order == "time"
-    settled.sort(key=lambda found: (found[1].st_mtime_ns if by_time else 0, str(found[0])))
-    return [file for file, _ in settled], len(stats) - len(settled)
-
-
-def _job(fleet: FleetConfig, entry: FleetMap, name: str, recording: Path | None, moving: int) -> Job:
+def _job(fleet: FleetConfig, entry: FleetMap, name: str, recording: Recording | None, moving: int) -> Job:
     values: dict[str, Any] = {**fleet.parameters, **entry.parameters, "map": name}
     if entry.osm is not None:
         values["osm"] = entry.osm.model_dump(mode="json", exclude_unset=True)
     if recording is not None and entry.recordings is not None:
-        values |= dict.fromkeys(entry.recordings.inputs, str(recording))
-    label = recording.name if recording is not None else ""
+        values |= dict.fromkeys(entry.recordings.inputs, recording.path)
+    label = recording.file if recording is not None else ""
     try:
         config = load_config(FlexMapConfig, entry.config, overrides(values))
     except FlexMapError as error:
@@ -106,7 +91,7 @@ def overrides(values: Mapping[str, Any]) -> list[str]:
     return [f"{key}={json.dumps(value)}" for key, value in values.items()]
 
 
-def _label(folder: Path, file: Path) -> str:
+def _label(recording: Recording) -> str:
     """A recording's part of a map's name: its path below the folder without suffix, in plain characters."""
-    text = file.relative_to(folder).with_suffix("").as_posix()
+    text = PurePosixPath(recording.name).with_suffix("").as_posix()
     return "".join(c if c.isalnum() and c.isascii() else "-" for c in text)[:60]

@@ -20,30 +20,31 @@ from flexmap_tasks.config import Params
 from flexmap_tasks.engine.graph import Graph, SourceRef
 from flexmap_tasks.engine.libraries import library_versions
 from flexmap_tasks.engine.release import Release
+from flexmap_tasks.engine.sources import Look, is_old, look
 from flexmap_tasks.store.artifact import canonical_json, digest_of, seal, unseal
 from flexmap_tasks.store.store import Store
 
 FORMAT = 1
 FOLDER = "finished"
-RACY_NS = 2_000_000_000
-"""A file younger than this may still change within the resolution of its time stamps."""
-
 NO_CODE = (".pyc", ".nbi", ".nbc")
 """What Python and numba keep beside the sources."""
 
 _LOADED_NS = time.time_ns()
 _PACKAGE = Path(__file__).resolve().parents[1]
 
-Look = list[int]
-"""Size, time of last write, time of last change of the entry (which nobody can set back), inode."""
-
 
 @dataclass(frozen=True, slots=True)
 class Watched:
     """The files a run depends on, as they were before any of them was read; `steady` if all are old enough."""
 
-    files: Mapping[str, Look]
+    inputs: Mapping[str, Look]
+    code: Mapping[str, Look]
     steady: bool
+
+    @property
+    def files(self) -> dict[str, Look]:
+        """All of them."""
+        return {**self.inputs, **self.code}
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,13 +57,13 @@ class Finished:
 
 def watch(graph: Graph) -> Watched:
     """To be asked before a run begins: what it will read, and whether its stamps can be trusted."""
-    sources = {ref.path for node in graph for ref in node.inputs.values() if isinstance(ref, SourceRef)}
-    code = _code_files()
     now = time.time_ns()
-    files = {str(path): _look(path) for path in (*sources, *code)}
-    steady = all(_old(files[str(path)], now) for path in sources)
-    steady = steady and all(_old(files[str(path)], _LOADED_NS) for path in code)
-    return Watched({path: look for path, look in files.items() if look}, steady)
+    paths = {str(r.path) for node in graph for r in node.inputs.values() if isinstance(r, SourceRef)}
+    inputs = {path: look(path) for path in paths}
+    code = {str(path): look(path) for path in code_files(_PACKAGE)}
+    steady = all(is_old(seen, now) for seen in inputs.values())
+    steady = steady and all(is_old(seen, _LOADED_NS) for seen in code.values())
+    return Watched(_there(inputs), _there(code), steady)
 
 
 def remember_finished(
@@ -74,14 +75,14 @@ def remember_finished(
     root = release.folder.parent
     body = {
         "format": FORMAT,
-        "files": dict(watched.files),
-        "code": [str(path) for path in _code_files()],
+        "files": watched.files,
+        "code": [str(path) for path in code_files(_PACKAGE)],
         "versions": _versions(),
         "actions": dict(actions),
         "expires": _expires(store, graph, actions),
         "map": config.model_dump(mode="json").get("map"),
         "release": {"id": release.id, "latest": _latest(root)},
-        "released": {str(path): _look(path) for path in sorted(release.folder.rglob("*")) if path.is_file()},
+        "released": {str(path): look(path) for path in sorted(release.folder.rglob("*")) if path.is_file()},
         "folder": str(release.folder),
     }
     content = seal(body)
@@ -94,10 +95,10 @@ def still_finished(store: Store, config: Params, releases: Path) -> Finished | N
     body = unseal(store.backend.get(_path(config, releases)))
     if body is None or body.get("format") != FORMAT or body["versions"] != _versions():
         return None
-    if body["code"] != [str(path) for path in _code_files()] or _expired(body["expires"]):
+    if body["code"] != [str(path) for path in code_files(_PACKAGE)] or _expired(body["expires"]):
         return None
     watched = {**body["files"], **body["released"]}
-    if any(_look(path) != look for path, look in watched.items()):
+    if any(look(path) != seen for path, seen in watched.items()):
         return None
     folder = Path(body["folder"])
     release = body["release"]
@@ -113,24 +114,17 @@ def _path(config: Params, releases: Path) -> str:
     return f"{FOLDER}/{digest_of(canonical_json(settings))}.json"
 
 
-def _code_files() -> list[Path]:
+def code_files(package: Path) -> list[Path]:
+    """Everything in a package that can change what it does."""
     found: list[Path] = []
-    for folder, folders, files in os.walk(_PACKAGE):
+    for folder, folders, files in os.walk(package):
         folders[:] = sorted(name for name in folders if name != "__pycache__")
         found.extend(Path(folder, name) for name in sorted(files) if not name.endswith(NO_CODE))
     return found
 
 
-def _look(path: Path | str) -> Look:
-    try:
-        stat = os.stat(path)  # noqa: PTH116 - asked of every file: a Path costs more than the answer
-    except OSError:
-        return []
-    return [stat.st_size, stat.st_mtime_ns, stat.st_ctime_ns, stat.st_ino]
-
-
-def _old(look: Look, now_ns: int) -> bool:
-    return bool(look) and max(look[1], look[2]) < now_ns - RACY_NS
+def _there(looks: Mapping[str, Look]) -> dict[str, Look]:
+    return {path: seen for path, seen in looks.items() if seen}
 
 
 def _versions() -> dict[str, str]:

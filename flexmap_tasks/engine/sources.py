@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import os
 import time
 from pathlib import Path
 
@@ -15,6 +16,23 @@ RACY_NS = 2_000_000_000
 
 Stamp = tuple[int, int, int, int]
 """Size, time of the last write, time of the last change of the entry (nobody can set it back), inode."""
+
+Look = list[int]
+"""The same as a sealed document holds it; empty where there is no such file."""
+
+
+def look(path: Path | str) -> Look:
+    """What a file looks like from outside."""
+    try:
+        stat = os.stat(path)  # noqa: PTH116 - asked of every file: a Path costs more than the answer
+    except OSError:
+        return []
+    return [stat.st_size, stat.st_mtime_ns, stat.st_ctime_ns, stat.st_ino]
+
+
+def is_old(seen: Look, now_ns: int) -> bool:
+    """The file was there, and its stamp told old enough that a later change would show."""
+    return bool(seen) and max(seen[1], seen[2]) < now_ns - RACY_NS
 
 
 def file_stamp(path: Path) -> Stamp:

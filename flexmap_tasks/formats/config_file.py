@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import functools
+import os
 import typing
-from collections.abc import Iterable, Mapping
+from collections.abc import Hashable, Iterable, Mapping
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -24,12 +26,16 @@ class _Loader(getattr(yaml, "CSafeLoader", yaml.SafeLoader)):  # type: ignore[mi
     """Safe YAML in which a key that stands twice is an error."""
 
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
-        keys = [self.construct_object(key, deep=deep) for key, _ in node.value]
-        for key, (key_node, _) in zip(keys, node.value, strict=True):
-            if keys.count(key) > 1:
+        seen = set()
+        for key_node, _ in node.value:
+            key = self.construct_object(key_node, deep=deep)
+            if not isinstance(key, Hashable):
+                break  # refused below, with its place
+            if key in seen:
                 raise yaml.MarkedYAMLError(
                     problem=f"key {key!r} stands twice", problem_mark=key_node.start_mark
                 )
+            seen.add(key)
         found: dict[Any, Any] = super().construct_mapping(node, deep)
         return found
 
@@ -40,7 +46,7 @@ def load_config(kind: type[P], file: Path, overrides: Iterable[str] = ()) -> P:
     Overriding paths are relative to the working directory. Raises ConfigError.
     """
     data = _read(file)
-    data = _resolve_paths(kind, data, file.parent)
+    data = _resolve_paths(kind, data, file.parent.resolve())
     for override in overrides:
         key, equals, text = override.partition("=")
         if not equals or not key:
@@ -135,18 +141,36 @@ def _model_of(kind: Any) -> type[BaseModel] | None:
     return next((k for k in _kinds(kind) if isinstance(k, type) and issubclass(k, BaseModel)), None)
 
 
+@functools.cache
+def _fields_with_paths(kind: type[BaseModel]) -> Mapping[str, type[BaseModel] | None]:
+    """Fields that hold a path (None) or settings in which a path may stand (their model)."""
+    found: dict[str, type[BaseModel] | None] = {}
+    for name, field in kind.model_fields.items():
+        model = _model_of(field.annotation)
+        if Path in _kinds(field.annotation):
+            found[name] = None
+        elif model is not None:
+            found[name] = model
+    return found
+
+
 def _resolve_paths(kind: type[BaseModel], data: dict[str, Any], base: Path) -> dict[str, Any]:
     out = dict(data)
-    for name, field in kind.model_fields.items():
+    for name, model in _fields_with_paths(kind).items():
         value = out.get(name)
-        model = _model_of(field.annotation)
-        if Path in _kinds(field.annotation) and isinstance(value, str):
-            out[name] = str((base / Path(value).expanduser()).resolve())
-        elif model is not None and isinstance(value, dict):
+        if model is None:
+            out |= {name: _absolute(value, base)} if isinstance(value, str) else {}
+        elif isinstance(value, dict):
             out[name] = _resolve_paths(model, value, base)
-        elif model is not None and isinstance(value, list):
+        elif isinstance(value, list):
             out[name] = [_resolve_paths(model, v, base) if isinstance(v, dict) else v for v in value]
     return out
+
+
+def _absolute(path: str, base: Path) -> str:
+    """A path from the folder it is relative to. Asked of every file of a fleet: only what needs it is looked up."""
+    whole = os.path.join(base, os.path.expanduser(path))  # noqa: PTH111, PTH118 - see above
+    return os.path.realpath(whole) if ".." in path else os.path.normpath(whole)
 
 
 def _resolve_paths_at(kind: type[BaseModel], keys: list[str], value: Any) -> Any:

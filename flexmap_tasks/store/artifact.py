@@ -83,11 +83,10 @@ class Artifact:
 
     def items(self) -> dict[str, Artifact]:
         """A collection's items by key: the first part of the path (or the file's stem)."""
-        keys = {p.split("/")[0].split(".")[0] for p, _ in self.files}
-        return {
-            key: Artifact(tuple((p, b) for p, b in self.files if p.split("/")[0].split(".")[0] == key))
-            for key in sorted(keys)
-        }
+        found: dict[str, list[tuple[str, Blob]]] = {}
+        for path, blob in self.files:
+            found.setdefault(path.split("/")[0].split(".")[0], []).append((path, blob))
+        return {key: Artifact(tuple(found[key])) for key in sorted(found)}
 
 
 def _sha256(text: Any) -> str:

@@ -96,9 +96,11 @@ class FolderBackend:
             _write_synced(temporary, content)
             if replace:
                 temporary.replace(target)
+                _sync_folder(target.parent)
             else:
-                _link(temporary, target)
-            _sync_folder(target.parent)
+                _link(
+                    temporary, target
+                )  # should power fail now, the name is gone: a miss, never a wrong result
         except OSError as error:
             raise _explain(error, self.root) from error
         finally:

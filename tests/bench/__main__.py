@@ -11,7 +11,7 @@ from importlib import import_module
 
 from tests.bench.measure import DATA, console
 
-SUBJECTS = ("garching",)
+SUBJECTS = ("garching", "nothing_changed", "fleet")
 
 
 def main(wanted: list[str]) -> int:

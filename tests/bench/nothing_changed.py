@@ -1,15 +1,15 @@
 """How long a run takes that has nothing to do, beside DVC, Snakemake and redun.
 
-    python -m tests.bench.nothing_changed [FOLDER WITH THE PEERS' COMMANDS]
-
 The peers copy 100 MB through a chain of eight steps. FlexMap updates the Garching map (17 stages or more) with a point
-cloud of 100 MB. Each runs once to have everything made, then three times with nothing changed; the best counts, wall
-clock, as processes. A peer that is not installed is named and left out.
+cloud of 100 MB. Each runs once to have everything made, then several times with nothing changed; the best counts, as
+processes. The peers live in an environment of their own (`make .venv-peers`, or the folder that
+FLEXMAP_BENCH_PEERS names), so that what they need does not meet what FlexMap needs.
 """
 
 from __future__ import annotations
 
 import os
+import resource
 import shutil
 import subprocess
 import sys
@@ -24,11 +24,12 @@ from flexmap_tasks.config import FlexMapConfig
 from flexmap_tasks.engine.finished import still_finished
 from flexmap_tasks.formats.config_file import load_config
 from flexmap_tasks.store.store import Store
+from tests.bench.measure import PROJECT, show
 
-PROJECT = Path(__file__).resolve().parents[2]
 STEPS = 8
 BYTES = 100_000_000
-REPEAT = 3
+REPEAT = 5
+PEERS = Path(os.environ.get("FLEXMAP_BENCH_PEERS", PROJECT / ".venv-peers")) / "bin"
 
 REDUN = """
 from pathlib import Path
@@ -48,48 +49,47 @@ def main() -> File:
 """
 
 
-def main(peers: Path | None = None) -> None:
-    """Print one line per tool."""
+def run() -> None:
+    """One row per tool, FlexMap first."""
     with tempfile.TemporaryDirectory(prefix="flexmap-bench-") as name:
         folder = Path(name)
-        flexmap(folder / "flexmap")
+        rows = flexmap(folder / "flexmap")
         for tool, prepare in (("dvc", dvc), ("snakemake", snakemake), ("redun", redun)):
-            command = shutil.which(tool, path=str(peers) if peers else None)
+            command = shutil.which(tool, path=str(PEERS))
             if command is None:
-                print(f"{tool}: not installed, left out")
+                rows.append((tool, "not installed: make .venv-peers", ""))
                 continue
             place = folder / tool
             place.mkdir()
             (place / "part0.bin").write_bytes(os.urandom(BYTES // STEPS))
-            measure(tool, place, prepare(place, command))
+            rows.append((tool, measure(place, prepare(place, command)), ""))
+    show("Nothing changed: eight stages and 100 MB", rows)
 
 
-def flexmap(folder: Path) -> None:
+def flexmap(folder: Path) -> list[tuple[str, str, str]]:
     """As a process and inside of one."""
     folder.mkdir()
     write_cloud(folder / "cloud.pcd")
-    config = PROJECT / "configs" / "garching.yaml"
-    overrides = ["--set", f"point_cloud.file={folder / 'cloud.pcd'}"]
-    command = [
-        sys.executable,
-        "-m",
-        "flows.cli",
-        "run",
-        str(config),
-        "--store",
-        str(folder / "store"),
-        "--no-prefect",
-    ]
-    command += overrides
+    config, store = PROJECT / "configs" / "garching.yaml", folder / "store"
+    overrides = [f"point_cloud.file={folder / 'cloud.pcd'}"]
+    command = [sys.executable, "-m", "flows.cli", "run", str(config), "--store", str(store), "--no-prefect"]
     time.sleep(2.5)  # what is younger than two seconds is not trusted by its time stamps
-    measure("flexmap", PROJECT, command)
+    process = measure(PROJECT, [*command, "--set", *overrides])
 
     def inside() -> None:
-        settings = load_config(FlexMapConfig, config, overrides[1:])
-        store = Store.open(folder / "store")
-        assert still_finished(store, settings, store.releases) is not None
+        settings = load_config(FlexMapConfig, config, overrides)
+        opened = Store.open(store)
+        assert still_finished(opened, settings, opened.releases) is not None
 
-    print(f"{'flexmap, inside a process':<28}{best(inside):8.3f} s")
+    wall, cpu = best(inside)
+    return [
+        ("flexmap run, as a process", process, "at most 0.5 s"),
+        (
+            "the same inside of a process",
+            f"{wall * 1e3:.0f} ms, {cpu * 1e3:.0f} ms CPU",
+            "at most 50 ms",
+        ),
+    ]
 
 
 def write_cloud(path: Path) -> None:
@@ -105,7 +105,7 @@ def write_cloud(path: Path) -> None:
 
 def dvc(folder: Path, command: str) -> list[str]:
     """A pipeline of copies."""
-    run([command, "init", "--no-scm", "-q"], folder)
+    call([command, "init", "--no-scm", "-q"], folder)
     stages = "".join(
         f"  s{i}:\n    cmd: cp part{i - 1}.bin part{i}.bin\n    deps: [part{i - 1}.bin]\n    outs: [part{i}.bin]\n"
         for i in range(1, STEPS + 1)
@@ -130,31 +130,34 @@ def redun(folder: Path, command: str) -> list[str]:
     return [command, "run", "workflow.py", "main"]
 
 
-def measure(name: str, folder: Path, command: list[str]) -> None:
+def measure(folder: Path, command: list[str]) -> str:
     """The first run, then the best of those with nothing to do."""
-    before = time.perf_counter()
-    run(command, folder)
-    first = time.perf_counter() - before
-    run(command, folder)
-    print(f"{name:<28}{best(lambda: run(command, folder)):8.3f} s   (first run {first:.1f} s)", flush=True)
+    first, _ = cost(lambda: call(command, folder))
+    call(command, folder)
+    wall, cpu = best(lambda: call(command, folder))
+    return f"{wall:.2f} s, {cpu:.2f} s CPU (first run {first:.1f} s)"
 
 
-def best(work: Callable[[], None]) -> float:
-    """Seconds of the fastest of several."""
-    figures = []
-    for _ in range(REPEAT):
-        before = time.perf_counter()
-        work()
-        figures.append(time.perf_counter() - before)
-    return min(figures)
+def best(work: Callable[[], None]) -> tuple[float, float]:
+    """Seconds on the wall and of CPU, each of the fastest of several."""
+    walls, cpus = zip(*(cost(work) for _ in range(REPEAT)), strict=True)
+    return min(walls), min(cpus)
 
 
-def run(command: list[str], folder: Path) -> None:
+def cost(work: Callable[[], None]) -> tuple[float, float]:
+    """Seconds on the wall and of CPU, that of ended children included."""
+    wall, cpu = time.perf_counter(), _cpu_s()
+    work()
+    return time.perf_counter() - wall, _cpu_s() - cpu
+
+
+def _cpu_s() -> float:
+    children = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return time.process_time() + children.ru_utime + children.ru_stime
+
+
+def call(command: list[str], folder: Path) -> None:
     """To its end, without its output."""
     done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
     if done.returncode != 0:
         sys.exit(f"{' '.join(command)}: {(done.stderr or done.stdout)[-2000:]}")
-
-
-if __name__ == "__main__":
-    main(*(Path(argument) for argument in sys.argv[1:]))

@@ -10,7 +10,7 @@ import pytest
 import toy
 
 from flexmap_tasks.config import Params
-from flexmap_tasks.engine import finished
+from flexmap_tasks.engine import finished, sources
 from flexmap_tasks.engine.finished import remember_finished, still_finished, watch
 from flexmap_tasks.engine.local import run_local
 from flexmap_tasks.engine.release import publish_release
@@ -32,7 +32,7 @@ def settings(tmp_path) -> Settings:
 
 @pytest.fixture
 def store(tmp_path, monkeypatch) -> Store:
-    monkeypatch.setattr(finished, "RACY_NS", 0)  # else every file of a test is too young
+    monkeypatch.setattr(sources, "RACY_NS", 0)  # else every file of a test is too young
     monkeypatch.setattr(finished, "_LOADED_NS", time.time_ns() + 10**12)
     return Store.open(tmp_path / "store")
 
@@ -113,12 +113,12 @@ def test_other_settings_releases_and_libraries_are_other_runs(store, settings, t
 
 def test_code_that_came_is_a_reason_to_plan(store, settings, monkeypatch):
     run(store, settings)
-    monkeypatch.setattr(finished, "_code_files", lambda: [Path(__file__)])
+    monkeypatch.setattr(finished, "code_files", lambda _package: [Path(__file__)])
     assert still_finished(store, settings, store.releases) is None
 
 
 def test_files_too_young_to_tell_are_not_remembered(store, settings, monkeypatch):
-    monkeypatch.setattr(finished, "RACY_NS", 10**15)
+    monkeypatch.setattr(sources, "RACY_NS", 10**15)
     run(store, settings)
     assert still_finished(store, settings, store.releases) is None
 

@@ -11,15 +11,17 @@ import pytest
 import yaml
 from fleet_town import break_log, drive_again, write_fleet
 from prometheus_client.openmetrics.parser import text_string_to_metric_families
+from pydantic import ValidationError
 
 from flexmap_tasks.engine.finished import watch
-from flexmap_tasks.errors import ConfigError, InputError
+from flexmap_tasks.errors import ConfigError
 from flexmap_tasks.fleet_config import FleetConfig, Recordings
 from flexmap_tasks.pipeline import map_update
 from flows import fleet_commands
 from flows.fleet_index import Index, made_with
-from flows.fleet_jobs import find_jobs, find_recordings, load_fleet, open_store
+from flows.fleet_jobs import find_jobs, load_fleet, open_store
 from flows.fleet_plan import Row, Todo, plan_fleet
+from flows.fleet_recordings import find_recordings
 
 
 @pytest.fixture(scope="module")
@@ -145,11 +147,26 @@ def test_recordings_wait_until_they_are_complete(tmp_path: Path) -> None:
         os.utime(tmp_path / name, (now - age, now - age))
     by_time = Recordings(folder=tmp_path)
     files, moving = find_recordings(by_time, now)
-    assert ([f.name for f in files], moving) == (["b.mcap", "a.mcap"], 1)
+    assert ([f.file for f in files], moving) == (["b.mcap", "a.mcap"], 1)
     files, _ = find_recordings(by_time.model_copy(update={"order": "name"}), now)
-    assert [f.name for f in files] == ["a.mcap", "b.mcap"]
-    with pytest.raises(InputError, match="cannot be searched"):
-        find_recordings(by_time.model_copy(update={"pattern": "/etc/*"}), now)
+    assert [f.file for f in files] == ["a.mcap", "b.mcap"]
+    with pytest.raises(ValidationError, match="pattern"):
+        Recordings(folder=tmp_path, pattern="/etc/*")
+
+
+def test_recordings_lie_in_folders_of_their_own_too(tmp_path: Path) -> None:
+    for name in ("2026/d1/drive.mcap", "2026/d2/drive.mcap", "2026/d2/.drive.mcap.x7", "drive.mcap"):
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / name).touch()
+    (tmp_path / "2026" / "d3" / "drive.mcap").mkdir(parents=True)  # a folder by that name is no recording
+    found = {}
+    for pattern in ("*.mcap", "2026/*/drive.mcap", "**/*.mcap", "2026/d2/*"):
+        files, _ = find_recordings(Recordings(folder=tmp_path, pattern=pattern, settle_s=0), time.time() + 1)
+        found[pattern] = sorted(f.name for f in files)
+    assert found["*.mcap"] == ["drive.mcap"]
+    assert found["2026/*/drive.mcap"] == ["2026/d1/drive.mcap", "2026/d2/drive.mcap"]
+    assert found["**/*.mcap"] == ["2026/d1/drive.mcap", "2026/d2/drive.mcap", "drive.mcap"]
+    assert found["2026/d2/*"] == ["2026/d2/drive.mcap"]
 
 
 def test_a_run_that_takes_too_long_is_ended(tmp_path: Path) -> None:
