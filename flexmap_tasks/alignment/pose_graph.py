@@ -71,6 +71,7 @@ def pose_graph_warp(graph: PoseGraph, params: PoseGraphParams) -> Warp:
         stretch=np.full(n, graph.figures.scale),
         lift_m=nodes.xyz_m[:, 2] - nodes.source_xyz_m[:, 2],
         sigma_m=np.sqrt((nodes.sigma_m[:, 0] ** 2 + nodes.sigma_m[:, 1] ** 2) / 2),
+        sigma_turn_rad=nodes.sigma_yaw_rad,
         blend_m=np.full(n, params.blend_sigma_m),
     )
     warp = Warp(graph.motion, None, bend=bend)

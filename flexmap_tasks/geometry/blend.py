@@ -33,14 +33,12 @@ REACH_GROWTH = 1.5
 FARTHEST_M = 1e8
 """Nothing on Earth lies further from its map's origin; such places become NaN."""
 
-CHANNELS = 4
-"""Of a lattice node: shift east, shift north, lift, standard deviation."""
-
 
 class Motions(NamedTuple):
     """Local motions: near source_xy a point p goes to target_xy + stretch * R(turn) @ (p - source_xy).
 
-    source_xy, target_xy : (n, 2); turn, stretch, lift, sigma : (n,)
+    source_xy, target_xy : (n, 2); turn, stretch, lift : (n,)
+    sigma, sigma_turn : (n,) standard deviation of the place, per axis, and of the turn
     sigma_m : width of the blend near the poses
     """
 
@@ -50,7 +48,18 @@ class Motions(NamedTuple):
     stretch: Floats
     lift: Floats
     sigma: Floats
+    sigma_turn: Floats
     sigma_m: float
+
+
+class Page(NamedTuple):
+    """The lattice nodes of a block, its far edges included.
+
+    shift : (CELLS + 1, CELLS + 1, 3) east, north and up; sigma : (CELLS + 1, CELLS + 1) standard deviation per axis
+    """
+
+    shift: Floats
+    sigma: Floats
 
 
 def reach_m(motions: Motions, nearest_m: Floats | float) -> Floats | float:
@@ -65,26 +74,31 @@ def seen_from(motions: Motions, low: Floats, high: Floats) -> Ints:
     return np.flatnonzero(gap <= half + reach_m(motions, float(gap.min()) + half) + 1e-6)
 
 
-def block(motions: Motions, i: int, j: int) -> Floats:
-    """(CELLS + 1, CELLS + 1, CHANNELS) lattice nodes of the block whose lower left corner is i, j blocks out."""
+def block(motions: Motions, i: int, j: int) -> Page:
+    """The lattice of the block whose lower left corner is i, j blocks out.
+
+    The variance at a place is the mean of what its motions predict there, their turn's at the distance it is
+    from each, and how far they are from agreeing: it grows away from the poses and where passes contradict.
+    """
     low = np.array([i, j]) * BLOCK_M
     rows = seen_from(motions, low, low + BLOCK_M)
     linear = motions.stretch[rows, None] * np.column_stack(
         [np.cos(motions.turn[rows]), np.sin(motions.turn[rows])]
     )
-    out = np.empty((CELLS + 1, CELLS + 1, CHANNELS))
+    page = Page(np.empty((CELLS + 1, CELLS + 1, 3)), np.empty((CELLS + 1, CELLS + 1)))
+    variance = np.column_stack([motions.sigma[rows], motions.sigma_turn[rows]]) ** 2
     _block(
         i * CELLS, j * CELLS, motions.source_xy[rows], motions.target_xy[rows], linear, motions.lift[rows],
-        motions.sigma[rows], float(reach_m(motions, 0.0)), out,
+        variance, float(reach_m(motions, 0.0)), *page,
     )  # fmt: skip
-    return out
+    return page
 
 
 @njit(cache=True, nogil=True)
-def _block(i0, j0, source, target, linear, lift, sigma, reach0, out):  # type: ignore[no-untyped-def]  # pragma: no cover
+def _block(i0, j0, source, target, linear, lift, variance, reach0, shift, sigma):  # type: ignore[no-untyped-def]  # pragma: no cover
     square = np.empty(len(source))
-    for a in range(out.shape[0]):
-        for b in range(out.shape[1]):
+    for a in range(shift.shape[0]):
+        for b in range(shift.shape[1]):
             x, y = (i0 + a) * SPACING_M, (j0 + b) * SPACING_M
             nearest = np.inf
             for k in range(len(source)):
@@ -92,88 +106,146 @@ def _block(i0, j0, source, target, linear, lift, sigma, reach0, out):  # type: i
                 square[k] = dx * dx + dy * dy
                 nearest = min(nearest, square[k])
             reach = reach0 + REACH_GROWTH * np.sqrt(nearest)
-            total, east, north, up, spread = 0.0, 0.0, 0.0, 0.0, 0.0
+            total, east, north, up, spread, apart = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
             for k in range(len(source)):
                 w = 1.0 - square[k] / (reach * reach)
                 if w > 0.0:
                     w = w * w * w * w
                     dx, dy = x - source[k, 0], y - source[k, 1]
                     c, s = linear[k, 0], linear[k, 1]
+                    to_east = target[k, 0] + c * dx - s * dy - x
+                    to_north = target[k, 1] + s * dx + c * dy - y
                     total += w
-                    east += w * (target[k, 0] + c * dx - s * dy)
-                    north += w * (target[k, 1] + s * dx + c * dy)
+                    # West (1979): the spread about a mean that moves, without cancellation
+                    off_east, off_north = to_east - east, to_north - north
+                    east += off_east * w / total
+                    north += off_north * w / total
+                    apart += w * (off_east * (to_east - east) + off_north * (to_north - north))
                     up += w * lift[k]
-                    spread += w * sigma[k]
-            out[a, b, 0] = east / total - x
-            out[a, b, 1] = north / total - y
-            out[a, b, 2] = up / total
-            out[a, b, 3] = spread / total
+                    spread += w * (variance[k, 0] + variance[k, 1] * square[k] / 2.0)
+            shift[a, b, 0], shift[a, b, 1], shift[a, b, 2] = east, north, up / total
+            sigma[a, b] = np.sqrt((spread + apart / 2.0) / total)
+
+
+class Atlas(NamedTuple):
+    """Pages for many points.
+
+    pages : (p, CELLS + 1, CELLS + 1, c) contiguous; corner : (2,) int64, the first block
+    table : (ni, nj) int32, page of every block from there on, or -1
+    """
+
+    pages: Floats
+    corner: Ints
+    table: NDArray[np.int32]
+
+
+def atlas(pages: list[Floats], blocks: Ints) -> Atlas:
+    """Pages laid out by their blocks (b, 2)."""
+    corner = blocks.min(axis=0)
+    table = np.full(blocks.max(axis=0) - corner + 1, -1, np.int32)
+    table[tuple((blocks - corner).T)] = np.arange(len(blocks))
+    return Atlas(np.stack(pages), corner, table)
+
+
+def move(by: Atlas, xyz: Floats, out: Floats) -> None:
+    """(n, 3) points moved by pages of three channels; NaN where no page is."""
+    corner = by.corner * float(CELLS)
+    _move(by.pages.ravel(), corner[0], corner[1], by.table, xyz, out)
+
+
+def sample(by: Atlas, xyz: Floats, out: Floats) -> None:
+    """(n,) values of pages of one channel at (n, 3) points; NaN where no page is."""
+    corner = by.corner * float(CELLS)
+    _sample(by.pages.ravel(), corner[0], corner[1], by.table, xyz, out)
+
+
+@njit(cache=True, nogil=True, inline="always")
+def _cell(i0, j0, table, x, y):  # type: ignore[no-untyped-def]  # pragma: no cover
+    """Number of the lattice node below and left of a place, counted through all pages, and the way from it."""
+    # in numbers that do not depend on where the atlas begins: they may round differently
+    left, below = np.floor(x / SPACING_M), np.floor(y / SPACING_M)
+    u, v = left - i0, below - j0
+    page = -1
+    s, t, a, b = 0.0, 0.0, np.uint64(0), np.uint64(0)
+    if u >= 0.0 and v >= 0.0 and u < table.shape[0] * CELLS and v < table.shape[1] * CELLS:
+        # unsigned numbers spare the check for negative indices
+        ci, cj = np.uint32(u), np.uint32(v)
+        page = table[np.uint64(ci >> np.uint32(CELL_BITS)), np.uint64(cj >> np.uint32(CELL_BITS))]
+        a, b = np.uint64(ci & np.uint32(CELLS - 1)), np.uint64(cj & np.uint32(CELLS - 1))
+        s, t = x / SPACING_M - left, y / SPACING_M - below
+    node = (np.uint64(max(page, 0)) * np.uint64(CELLS + 1) + a) * np.uint64(CELLS + 1) + b
+    return page >= 0, node, s, t
 
 
 @njit(cache=True, nogil=True)
-def look_up(pages, table, i0, j0, xyz, out):  # type: ignore[no-untyped-def]  # pragma: no cover
-    """Move points by the lattice: out (n, 4) are x, y, z and the standard deviation; NaN where no block is.
-
-    pages : (p, CELLS + 1, CELLS + 1, CHANNELS); table : (ni, nj) page of every block from block i0, j0 on, or -1
-    """
+def _move(flat, i0, j0, table, xyz, out):  # type: ignore[no-untyped-def]  # pragma: no cover
+    one, two, right, up = np.uint64(1), np.uint64(2), np.uint64(3 * (CELLS + 1)), np.uint64(3)
     for n in range(len(xyz)):
         x, y = xyz[n, 0], xyz[n, 1]
-        u, v = x / SPACING_M, y / SPACING_M
-        fu, fv = np.floor(u), np.floor(v)
-        page = -1
-        if abs(x) < FARTHEST_M and abs(y) < FARTHEST_M:
-            ci, cj = int(fu) - i0 * CELLS, int(fv) - j0 * CELLS
-            bi, bj = ci >> CELL_BITS, cj >> CELL_BITS
-            if bi >= 0 and bj >= 0 and bi < table.shape[0] and bj < table.shape[1]:
-                page = table[bi, bj]
-        if page < 0:
-            out[n, 0], out[n, 1], out[n, 2], out[n, 3] = np.nan, np.nan, np.nan, np.nan
+        known, node, s, t = _cell(i0, j0, table, x, y)
+        if not known:
+            out[n, 0], out[n, 1], out[n, 2] = np.nan, np.nan, np.nan
             continue
-        a, b = ci - bi * CELLS, cj - bj * CELLS
-        s, t = u - fu, v - fv
-        w00, w10, w01, w11 = (1.0 - s) * (1.0 - t), s * (1.0 - t), (1.0 - s) * t, s * t
-        for c in range(CHANNELS):
-            out[n, c] = (
-                w00 * pages[page, a, b, c]
-                + w10 * pages[page, a + 1, b, c]
-                + w01 * pages[page, a, b + 1, c]
-                + w11 * pages[page, a + 1, b + 1, c]
-            )
-        out[n, 0] += x
-        out[n, 1] += y
-        out[n, 2] += xyz[n, 2]
+        w11 = s * t
+        w10, w01 = s - w11, t - w11
+        w00 = 1.0 - s - w01
+        k = np.uint64(3) * node
+        p, q = k + right, k + right + up
+        r = k + up
+        out[n, 0] = x + (w00 * flat[k] + w01 * flat[r] + w10 * flat[p] + w11 * flat[q])
+        out[n, 1] = y + (
+            w00 * flat[k + one] + w01 * flat[r + one] + w10 * flat[p + one] + w11 * flat[q + one]
+        )
+        out[n, 2] = xyz[n, 2] + (
+            w00 * flat[k + two] + w01 * flat[r + two] + w10 * flat[p + two] + w11 * flat[q + two]
+        )
+
+
+@njit(cache=True, nogil=True)
+def _sample(flat, i0, j0, table, xyz, out):  # type: ignore[no-untyped-def]  # pragma: no cover
+    one, right = np.uint64(1), np.uint64(CELLS + 1)
+    for n in range(len(xyz)):
+        known, k, s, t = _cell(i0, j0, table, xyz[n, 0], xyz[n, 1])
+        if known:
+            below = (1.0 - t) * flat[k] + t * flat[k + one]
+            above = (1.0 - t) * flat[k + right] + t * flat[k + right + one]
+            out[n] = (1.0 - s) * below + s * above
+        else:
+            out[n] = np.nan
 
 
 def blocks_of(xyz: Floats) -> Ints:
     """(b, 2) the blocks that hold points, in order."""
-    low, high = _corners(xyz)
-    if not low[0] <= high[0]:
-        return np.empty((0, 2), np.int64)
-    first = np.floor(low / BLOCK_M).astype(np.int64)
-    size = np.floor(high / BLOCK_M).astype(np.int64) - first + 1
-    if int(size[0]) * int(size[1]) > 1 << 22:
-        known = xyz[(np.abs(xyz[:, :2]) < FARTHEST_M).all(axis=1), :2]
-        return np.unique(np.floor(known / BLOCK_M).astype(np.int64), axis=0)
-    present = np.zeros((size[0], size[1]), np.bool_)
+    low, high = np.array(_corners(xyz)).reshape(2, 2)
+    if not (np.abs([low, high]) < FARTHEST_M).all():
+        xyz = xyz[(np.abs(xyz[:, :2]) < FARTHEST_M).all(axis=1)]
+        if not len(xyz):
+            return np.empty((0, 2), np.int64)
+        low, high = np.array(_corners(xyz)).reshape(2, 2)
+    first = np.floor(low / BLOCK_M)
+    wide, tall = (np.floor(high / BLOCK_M) - first + 1).astype(np.int64).tolist()
+    if wide * tall > 1 << 22:
+        return np.unique(np.floor(xyz[:, :2] / BLOCK_M).astype(np.int64), axis=0)
+    present = np.zeros((wide, tall), np.bool_)
     _mark(xyz, first[0], first[1], present)
-    blocks: Ints = np.argwhere(present) + first
+    blocks: Ints = np.argwhere(present) + first.astype(np.int64)
     return blocks
 
 
 @njit(cache=True, nogil=True)
 def _corners(xyz):  # type: ignore[no-untyped-def]  # pragma: no cover
-    low, high = np.full(2, np.inf), np.full(2, -np.inf)
+    """Smallest x, y and largest x, y, NaN left out."""
+    left, below, right, above = np.inf, np.inf, -np.inf, -np.inf
     for n in range(len(xyz)):
         x, y = xyz[n, 0], xyz[n, 1]
-        if abs(x) < FARTHEST_M and abs(y) < FARTHEST_M:
-            low[0], low[1] = min(low[0], x), min(low[1], y)
-            high[0], high[1] = max(high[0], x), max(high[1], y)
-    return low, high
+        left, right = x if x < left else left, x if x > right else right
+        below, above = y if y < below else below, y if y > above else above
+    return left, below, right, above
 
 
 @njit(cache=True, nogil=True)
 def _mark(xyz, i0, j0, present):  # type: ignore[no-untyped-def]  # pragma: no cover
     for n in range(len(xyz)):
-        x, y = xyz[n, 0], xyz[n, 1]
-        if abs(x) < FARTHEST_M and abs(y) < FARTHEST_M:
-            present[int(np.floor(x / BLOCK_M)) - i0, int(np.floor(y / BLOCK_M)) - j0] = True
+        u, v = np.floor(xyz[n, 0] / BLOCK_M) - i0, np.floor(xyz[n, 1] / BLOCK_M) - j0
+        if u >= 0.0 and v >= 0.0 and u < present.shape[0] and v < present.shape[1]:
+            present[np.uint64(np.uint32(u)), np.uint64(np.uint32(v))] = True

@@ -92,12 +92,7 @@ def move(mesh: Mesh, xyz_m: Floats) -> Floats:
 
 def move_into(mesh: Mesh, xyz_m: Floats, out: Floats) -> None:
     """The same into memory that is there already; both arrays (n, 3) and contiguous."""
-    affine = mesh.affine.ravel()
-    rows = np.empty(min(len(xyz_m), _CHUNK), np.int64)
-    for start in range(0, len(xyz_m), _CHUNK):
-        part = xyz_m[start : start + _CHUNK]
-        _locate(mesh.halfplanes, mesh.grid, *mesh.shape, mesh.cell, mesh.lists, part, rows)
-        _move(affine, rows, part, out[start : start + _CHUNK])
+    _move_all(mesh.affine.ravel(), mesh.halfplanes, mesh.grid, *mesh.shape, mesh.cell, mesh.lists, xyz_m, out)
 
 
 def locate(mesh: Mesh, xyz_m: Floats) -> Ints:
@@ -221,3 +216,12 @@ def _move(affine, rows, xyz, out):  # type: ignore[no-untyped-def]  # pragma: no
         out[n, 0] = affine[k] * x + affine[k + np.uint64(1)] * y + affine[k + np.uint64(2)]
         out[n, 1] = affine[k + np.uint64(3)] * x + affine[k + np.uint64(4)] * y + affine[k + np.uint64(5)]
         out[n, 2] = xyz[n, 2]
+
+
+@njit(cache=True, nogil=True)
+def _move_all(affine, planes, grid, nx, ny, cell, lists, xyz, out):  # type: ignore[no-untyped-def]  # pragma: no cover
+    rows = np.empty(min(len(xyz), _CHUNK), np.int64)
+    for start in range(0, len(xyz), _CHUNK):
+        part = xyz[start : start + _CHUNK]
+        _locate(planes, grid, nx, ny, cell, lists, part, rows)
+        _move(affine, rows, part, out[start : start + _CHUNK])

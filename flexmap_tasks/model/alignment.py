@@ -161,7 +161,7 @@ class Warp:
     def apply(self, xyz_m: Floats) -> Floats:
         """(n, 3) places in the fixed frame of (n, 3) places in the moving one; z is kept, NaN stays NaN."""
         if self.bend is not None:
-            return np.ascontiguousarray(self.bend.apply(xyz_m)[:, :3])
+            return self.bend.apply(xyz_m)
         if self.unbend is not None:
             return self.unbend.undo(xyz_m, self.motion.apply_xy(xyz_m), self.motion.linear)
         return kernels.move(_mesh(self, len(xyz_m)), xyz_m)
@@ -175,7 +175,7 @@ class Warp:
 
     def sigma_m(self, xyz_m: Floats) -> Floats:
         """(n,) predicted horizontal standard deviation at places of the moving frame; NaN where none is known."""
-        return np.full(len(xyz_m), np.nan) if self.bend is None else self.bend.apply(xyz_m)[:, 3]
+        return np.full(len(xyz_m), np.nan) if self.bend is None else self.bend.sigma_at_m(xyz_m)
 
     def _numeric_jacobian(self, xyz_m: Floats) -> Floats:
         step = SPACING_M / 2

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, fields
 from functools import lru_cache
 
@@ -23,7 +24,8 @@ class Bend:
 
     source_xy_m, target_xy_m : (n, 2) float64, the poses before (moving frame) and after (fixed frame)
     turn_rad, stretch : (n,) float64, how the plane is turned and scaled at each
-    lift_m : (n,) float64, added to heights; sigma_m : (n,) float64, horizontal standard deviation
+    lift_m : (n,) float64, added to heights
+    sigma_m, sigma_turn_rad : (n,) float64, standard deviations of the place, per axis, and of the turn
     blend_m : (n,) float64, all equal: width of the blend
     """
 
@@ -33,32 +35,41 @@ class Bend:
     stretch: Floats
     lift_m: Floats
     sigma_m: Floats
+    sigma_turn_rad: Floats
     blend_m: Floats
 
     def __len__(self) -> int:
         return len(self.turn_rad)
 
     def apply(self, xyz_m: Floats) -> Floats:
-        """(n, 4) x, y, z in the fixed frame and the standard deviation there, of (n, 3) places."""
+        """(n, 3) places in the fixed frame of (n, 3) places; NaN stays NaN."""
+        return self._over(xyz_m, np.empty((len(xyz_m), 3)), lambda page: page.shift, blend.move)
+
+    def sigma_at_m(self, xyz_m: Floats) -> Floats:
+        """(n,) horizontal standard deviation per axis where (n, 3) places go."""
+        return self._over(xyz_m, np.empty(len(xyz_m)), lambda page: page.sigma, blend.sample)
+
+    def _over(
+        self,
+        xyz_m: Floats,
+        out: Floats,
+        channel: Callable[[blend.Page], Floats],
+        kernel: Callable[[blend.Atlas, Floats, Floats], None],
+    ) -> Floats:
+        """A kernel over all points, some pages at a time."""
         points = np.ascontiguousarray(xyz_m)
         blocks = blend.blocks_of(points)
-        whole = 0 < len(blocks) <= _PAGES
-        out = np.empty((len(points), blend.CHANNELS))
-        if not whole:
+        if not len(blocks):
             out.fill(np.nan)
         for start in range(0, len(blocks), _PAGES):
             part = blocks[start : start + _PAGES]
-            pages = np.stack([_block(self, int(i), int(j)) for i, j in part])
-            low = part.min(axis=0)
-            table = np.full(part.max(axis=0) - low + 1, -1, np.int64)
-            table[tuple((part - low).T)] = np.arange(len(part))
-            if whole:
-                blend.look_up(pages, table, int(low[0]), int(low[1]), points, out)
-                break
-            moved = np.empty_like(out)
-            blend.look_up(pages, table, int(low[0]), int(low[1]), points, moved)
-            here = np.isfinite(moved[:, 0])
-            out[here] = moved[here]
+            by = blend.atlas([channel(_block(self, int(i), int(j))) for i, j in part], part)
+            if not start:
+                kernel(by, points, out)
+                continue
+            more = np.empty_like(out)
+            kernel(by, points, more)
+            np.copyto(out, more, where=~np.isnan(more))
         return out
 
     def undo(self, xyz_m: Floats, start_xy_m: Floats, back: Floats) -> Floats:
@@ -90,10 +101,10 @@ class Bend:
         """The same for the kernels."""
         return blend.Motions(
             self.source_xy_m, self.target_xy_m, self.turn_rad, self.stretch, self.lift_m, self.sigma_m,
-            float(self.blend_m[0]),
+            self.sigma_turn_rad, float(self.blend_m[0]),
         )  # fmt: skip
 
 
 @lru_cache(maxsize=_PAGES)
-def _block(bend: Bend, i: int, j: int) -> Floats:
+def _block(bend: Bend, i: int, j: int) -> blend.Page:
     return blend.block(bend.motions(), i, j)

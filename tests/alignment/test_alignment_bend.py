@@ -1,0 +1,113 @@
+"""Laws of a plane moved by poses, on drives made up at random."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from flexmap_tasks.model.alignment import Extent, RigidMotion, Warp
+from flexmap_tasks.model.bend import Bend
+
+seeds = st.integers(0, 2**32 - 1)
+FEW = settings(max_examples=5, deadline=None)
+
+
+def bent(seed: int, poses: int = 80, drift_m: float = 0.03) -> Warp:
+    """A winding drive whose poses are corrected by a drifting shift and turn, 300 m away and turned by 40 degrees."""
+    rng = np.random.default_rng(seed)
+    heading = np.cumsum(rng.normal(0, 0.08, poses))
+    source = np.cumsum(3.0 * np.column_stack([np.cos(heading), np.sin(heading)]), axis=0)
+    turn = 0.7 + np.cumsum(rng.normal(0, 2e-4, poses))
+    shift = np.cumsum(rng.normal(0, drift_m, (poses, 2)), axis=0)
+    cos, sin = np.cos(0.7), np.sin(0.7)
+    target = source @ np.array([[cos, sin], [-sin, cos]]) + [300.0, -40.0] + shift
+    one = np.ones(poses)
+    bend = Bend(
+        source, target, turn, one, np.cumsum(rng.normal(0, 0.01, poses)), 0.05 * one, 0.002 * one, 8 * one
+    )
+    motion = RigidMotion(np.array([[cos, -sin], [sin, cos]]), np.array([300.0, -40.0]), 1.0, 1.0, 0.0)
+    return Warp(motion, None, bend=bend)
+
+
+def around(seed: int, warp: Warp, reach_m: float, n: int = 100) -> np.ndarray:
+    assert warp.bend is not None
+    rng = np.random.default_rng(seed)
+    place = warp.bend.source_xy_m[rng.integers(0, len(warp.bend), n)]
+    return np.column_stack([place + rng.uniform(-reach_m, reach_m, (n, 2)), rng.uniform(-5, 5, n)])
+
+
+@FEW
+@given(seeds)
+def test_never_folds_and_has_a_way_back(seed: int) -> None:
+    warp = bent(seed)
+    xyz = around(seed, warp, 60.0)
+    assert (np.linalg.det(warp.jacobian(xyz)) > 0.8).all()
+    assert np.abs(warp.inverse().apply(warp.apply(xyz)) - xyz).max() < 1e-8
+
+
+@FEW
+@given(seeds, st.sampled_from([1.0, 100.0, 3000.0]))
+def test_is_continuous_near_and_far(seed: int, reach_m: float) -> None:
+    warp = bent(seed)
+    xyz = around(seed, warp, reach_m, 30)
+    step = np.random.default_rng(seed).normal(size=xyz.shape) * [1e-3, 1e-3, 0.0]
+    assert np.abs(warp.apply(xyz + step) - warp.apply(xyz)).max() < 1.2 * np.abs(step).sum(axis=1).max()
+    assert np.abs(warp.sigma_m(xyz + step) - warp.sigma_m(xyz)).max() < 1e-3
+
+
+@FEW
+@given(seeds)
+def test_poses_of_one_motion_move_all_the_plane_by_it(seed: int) -> None:
+    one = bent(seed).bend
+    assert one is not None
+    turn = np.full(len(one), 0.7)
+    cos, sin = np.cos(0.7), np.sin(0.7)
+    target = one.source_xy_m @ np.array([[cos, sin], [-sin, cos]]) + [300.0, -40.0]
+    same = Bend(
+        one.source_xy_m, target, turn, one.stretch, 0 * turn, one.sigma_m, one.sigma_turn_rad, one.blend_m
+    )
+    warp = Warp(bent(seed).motion, None, bend=same)
+    xyz = around(seed, warp, 1000.0, 30)
+    moved = warp.apply(xyz)
+    assert np.abs(moved[:, :2] - warp.motion.apply_xy(xyz)).max() < 1e-8
+    assert np.array_equal(moved[:, 2], xyz[:, 2])
+
+
+@FEW
+@given(seeds, st.integers(1, 100))
+def test_a_part_and_any_order_give_the_same_bits(seed: int, n: int) -> None:
+    warp = bent(seed)
+    xyz = around(seed, warp, 40.0)
+    order = np.random.default_rng(seed).permutation(len(xyz))
+    whole = warp.apply(xyz)
+    assert np.array_equal(warp.apply(xyz[:n]), whole[:n])
+    assert np.array_equal(warp.apply(xyz[order]), whole[order])
+    extent = Extent.of(xyz[:n])
+    assert extent is not None
+    assert np.array_equal(warp.restrict(extent).apply(xyz[:n]), whole[:n])
+
+
+def test_uncertainty_grows_away_from_the_poses() -> None:
+    warp = bent(3)
+    assert warp.bend is not None
+    end = warp.bend.source_xy_m[-1]
+    out = end - warp.bend.source_xy_m[-20]
+    away = np.array([0.0, 5.0, 20.0, 60.0, 200.0, 1000.0, 5000.0])
+    xyz = np.column_stack([end + away[:, None] * out / np.hypot(*out), 0 * away])
+    sigma = warp.sigma_m(xyz)
+    assert (np.diff(sigma) > 0).all()
+    assert sigma[0] == pytest.approx(0.055, abs=0.02)
+    assert sigma[-1] == pytest.approx(0.002 * 5000 / np.sqrt(2), rel=0.1)
+
+
+def test_what_is_not_a_place_stays_so() -> None:
+    warp = bent(4)
+    xyz = np.array([[np.nan, 0, 1], [0, np.inf, 1], [1e12, 0, 1], [0, 0, np.nan]])
+    moved = warp.apply(xyz)
+    assert np.isnan(moved[:3]).all()
+    assert np.isfinite(moved[3, :2]).all()
+    assert np.isnan(moved[3, 2])
+    assert np.isnan(warp.apply(xyz[:3])).all()
+    assert warp.apply(np.empty((0, 3))).shape == (0, 3)
