@@ -9,10 +9,12 @@ from flexmap_tasks.engine.graph import Graph, Ref, SourceRef
 from flexmap_tasks.georeferencing.edits import carry_edits
 from flexmap_tasks.ingest.lanelet_map import ingest_lanelet_map
 from flexmap_tasks.ingest.osm_roads import ingest_osm_roads
+from flexmap_tasks.ingest.review_decisions import ingest_review_decisions
 from flexmap_tasks.matching.collapse import collapse
 from flexmap_tasks.matching.gaps import find_gaps
 from flexmap_tasks.matching.match import match
 from flexmap_tasks.matching.place_roads import place_roads
+from flexmap_tasks.matching.review import review_matches
 from flexmap_tasks.matching.road_changes import road_changes
 from flexmap_tasks.pipeline_parts import Aligned, Conflated, only
 from flexmap_tasks.transfer.review import apply_review
@@ -51,7 +53,14 @@ def conflate(graph: Graph, config: FlexMapConfig, maps: Maps, aligned: Aligned) 
     matched = graph.run(
         match, conflation.match, centerlines=centerlines, lanelet_map=maps.lanelets, roads=placed
     )
-    matches = matched.field("matches")
+    matches, decided, settled = matched.field("matches"), None, None
+    if conflation.review_file is not None:
+        decided = graph.run(ingest_review_decisions, source=SourceRef(conflation.review_file))
+        on_matches = decided.field("matches")
+        settled = graph.run(
+            review_matches, matches=matches, decisions=on_matches, lanelet_map=maps.lanelets, roads=placed
+        )
+        matches = settled.field("matches")
     enriched = graph.run(
         transfer,
         conflation.transfer,
@@ -60,9 +69,17 @@ def conflate(graph: Graph, config: FlexMapConfig, maps: Maps, aligned: Aligned) 
         matches=matches,
         roads=placed,
         last_release=maps.last_release,
+        decisions_on_fragments=decided.field("fragments") if decided else None,
     )
-    if conflation.review_file is not None:
-        enriched = graph.run(apply_review, enriched=enriched, source=SourceRef(conflation.review_file))
+    if decided is not None and settled is not None:
+        enriched = graph.run(
+            apply_review,
+            enriched=enriched,
+            values=decided.field("values"),
+            lanes=decided.field("lanes"),
+            fragments=decided.field("fragments"),
+            unused_matches=settled.field("unused"),
+        )
     missing = graph.run(find_gaps, conflation.gaps, centerlines=centerlines, roads=placed, matches=matches)
     graph.publish("gaps.parquet", missing)
     graph.publish("matches.parquet", matches)
@@ -70,7 +87,7 @@ def conflate(graph: Graph, config: FlexMapConfig, maps: Maps, aligned: Aligned) 
     graph.publish("lane_check.parquet", enriched.field("lane_check"))
     graph.publish("findings.parquet", enriched.field("findings"))
     _compare_with_previous(graph, config, maps.lanelets, centerlines, placed, matches, aligned)
-    return Conflated(matched, enriched)
+    return Conflated(matches, matched.field("references"), enriched)
 
 
 def _placed(graph: Graph, config: FlexMapConfig, name: str, roads: Ref, aligned: Aligned) -> Ref:

@@ -51,7 +51,8 @@ class Aligned:
 class Conflated:
     """What conflation decided, and the enriched map."""
 
-    matched: Ref
+    matches: Ref
+    references: Ref
     enriched: Ref
 
 

@@ -193,5 +193,5 @@ class ConflationParams(Params):
     gaps: GapsParams = GapsParams()
     transfer: TransferParams = TransferParams()
     review_file: Path | None = Field(
-        None, description="CSV of people's decisions on values up for review, as the report saves it"
+        None, description="CSV of people's decisions on what is up for review; flexmap edit writes it"
     )

@@ -170,7 +170,8 @@ class Transfers:
 
     lanelet_id : (n,) int64, in the new map; source_lanelet_id : (n,) int64, the lanelet it was cut from (or itself)
     key, old, new : (n,) str, "" where there is no value. The key is the attribute, or "lanes", "bus_lane",
-    "bicycle_lane", "road_shoulder" where numbers of lanes are compared; "" where the lanelet itself is meant
+    "bicycle_lane", "road_shoulder" where numbers of lanes are compared; "fragment" where the lanelet is beyond the
+    number of lanes (`old` in the map, `new` in OSM) and leads nowhere; "" where the lanelet was or is to be cut
     way_id, way_version : (n,) int64; way_timestamp : (n,) str
     confidence : (n,) float64
     action : (n,) str, "set" (written), "keep" (the map's value stands), "review" (for a person, nothing is written),
@@ -197,7 +198,7 @@ class LaneCheck:
     lanelet_id, way_id : (n,) int64 (way 0 where unmatched)
     lanes_map, lanes_osm : (n,) int64, -1 where unknown
     verdict : (n,) str, "agree", "differ", "unknown" (no usable tag in OSM, or in a junction), "unmatched"
-    reason : (n,) str
+    review : (n,) bool, the counts differ and no person has decided yet; reason : (n,) str
     """
 
     lanelet_id: Ints
@@ -205,6 +206,7 @@ class LaneCheck:
     lanes_map: Ints
     lanes_osm: Ints
     verdict: Strings
+    review: Bools
     reason: Strings
 
 

@@ -13,6 +13,7 @@ from flexmap_tasks.model.conflation import LaneCheck
 from flexmap_tasks.model.lanelets import end_nodes
 from flexmap_tasks.model.maps import LaneletMap, Lanelets
 from flexmap_tasks.model.osm import OsmDocument, rows_of
+from flexmap_tasks.model.review import ReviewDecisions
 from flexmap_tasks.transfer.facts import LaneletFacts
 from flexmap_tasks.transfer.lane_check import LaneCounts
 
@@ -22,33 +23,63 @@ ANGLE_RAD = np.radians(20.0)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Removed:
-    """A lanelet that was taken out of the map, and why."""
+class Fragment:
+    """A lanelet beyond the number of lanes that leads nowhere, and why it is taken for one.
+
+    lanes_map, lanes_osm : of its carriageway, with it
+    """
 
     lanelet_id: int
     way_id: int
+    lanes_map: int
+    lanes_osm: int
     reason: str
 
 
+def unconnected(lanelet_map: LaneletMap, facts: LaneletFacts) -> Bools:
+    """(k,) bool: lanelets for cars that share an end with no other, that no relation names and that carry no rule."""
+    free = ~(_connected(lanelet_map, facts.lanelets) | _needed(lanelet_map.document, facts.lanelets))
+    free &= facts.open_to_cars & np.isfinite(facts.length_m)
+    return free
+
+
+def judged(
+    found: list[Fragment], decisions: ReviewDecisions | None, remove: bool
+) -> list[tuple[Fragment, str, str]]:
+    """Each fragment with what becomes of it, "remove", "keep" or "review", and why; a person's word goes first.
+
+    decisions : on fragments; the last one on the same lanelet, way and numbers of lanes counts
+    """
+    said = {} if decisions is None else {decisions.key_of(d): d for d in range(len(decisions))}
+    out = []
+    for f in found:
+        d = said.get((f.lanelet_id, f.way_id, "fragment", str(f.lanes_map), str(f.lanes_osm)))
+        if decisions is None or d is None:
+            out.append((f, "remove" if remove else "review", f.reason))
+        elif decisions.accept[d] == "accept":
+            out.append((f, "remove", f"{f.reason}; accepted {decisions.by(d)}"))
+        else:
+            out.append((f, "keep", f"{f.reason}; rejected {decisions.by(d)}"))
+    return out
+
+
 def fragments(
-    lanelet_map: LaneletMap, facts: LaneletFacts, counts: LaneCounts, check: LaneCheck
-) -> list[Removed]:
-    """Lanelets that share an end with no other and that a carriageway has beyond OSM's count.
+    lanelet_map: LaneletMap, facts: LaneletFacts, counts: LaneCounts, check: LaneCheck, free: Bools
+) -> list[Fragment]:
+    """Lanelets that share an end with no other (`free`) and that a carriageway has beyond OSM's count.
 
     A lanelet that shares a bound belongs to its neighbours' carriageway; one that lies close beside a carriageway
-    and was matched to no other road is beyond it. Never one that another relation names or that carries a rule.
+    and was matched to no other road is beyond it.
     """
     lanelets = facts.lanelets
     if not len(check.lanelet_id):
         return []
-    free = ~(_connected(lanelet_map, lanelets) | _needed(lanelet_map.document, lanelets))
-    free &= facts.open_to_cars & np.isfinite(facts.length_m)
     tied = _tied(lanelets, counts, check, free)
     known = np.array([r.lanelet_id for r in tied], dtype=np.int64)
     return tied + _beside(lanelet_map, facts, counts, check, free & ~np.isin(lanelets.id, known))
 
 
-def _tied(lanelets: Lanelets, counts: LaneCounts, check: LaneCheck, free: Bools) -> list[Removed]:
+def _tied(lanelets: Lanelets, counts: LaneCounts, check: LaneCheck, free: Bools) -> list[Fragment]:
     """Of the lanelets of a carriageway beyond the count, the outermost go first."""
     row = rows_of(lanelets.id, check.lanelet_id)
     excess = np.where(check.verdict == "differ", check.lanes_map - check.lanes_osm, 0)
@@ -60,13 +91,13 @@ def _tied(lanelets: Lanelets, counts: LaneCounts, check: LaneCheck, free: Bools)
         if left[c] > 0:
             left[c] -= 1
             reason = f"a fragment without predecessor and successor; {check.reason[i]}"
-            out.append(Removed(int(check.lanelet_id[i]), int(check.way_id[i]), reason))
+            out.append(_fragment(check, i, int(check.lanelet_id[i]), int(check.lanes_map[i]), reason))
     return out
 
 
 def _beside(
     lanelet_map: LaneletMap, facts: LaneletFacts, counts: LaneCounts, check: LaneCheck, free: Bools
-) -> list[Removed]:
+) -> list[Fragment]:
     """Lone lanelets along the edge of a carriageway that has as many lanes as OSM says without them."""
     lanelets = facts.lanelets
     verdict: Strings = np.full(len(lanelets), "", dtype=object)
@@ -84,8 +115,13 @@ def _beside(
         reason = (
             f"a fragment without predecessor and successor beside lanelet {lanelets.id[n]}; {check.reason[i]}"
         )
-        out.append(Removed(int(lanelets.id[k]), int(check.way_id[i]), f"{reason} without it"))
+        lanes = int(check.lanes_map[i]) + 1
+        out.append(_fragment(check, i, int(lanelets.id[k]), lanes, f"{reason} without it"))
     return out
+
+
+def _fragment(check: LaneCheck, i: int, lanelet_id: int, lanes: int, reason: str) -> Fragment:
+    return Fragment(lanelet_id, int(check.way_id[i]), lanes, int(check.lanes_osm[i]), reason)
 
 
 def _side_by_side(

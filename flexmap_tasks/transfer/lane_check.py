@@ -133,5 +133,6 @@ def check_lanes(
         lanes_map,
         lanes_osm,
         strings(verdict.tolist()),
+        verdict == "differ",
         strings(reason),
     )

@@ -1,71 +1,137 @@
-"""People's decisions on values that were put up for review, carried out."""
+"""People's decisions on values, numbers of lanes and fragments, carried out; and those that no longer hold."""
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import replace
+from math import inf
 
 import numpy as np
 
 from flexmap_tasks.engine.stage import stage
-from flexmap_tasks.formats.review_decisions_csv import read_review_decisions
-from flexmap_tasks.model.arrays import Ints, Strings, strings
-from flexmap_tasks.model.conflation import Enriched, Transfers
+from flexmap_tasks.model.arrays import Bools, Ints, strings
+from flexmap_tasks.model.conflation import Enriched, LaneCheck, Transfers
 from flexmap_tasks.model.lanelets import lanelet_relations
 from flexmap_tasks.model.maps import Findings, LaneletMap
 from flexmap_tasks.model.osm import rows_of
-from flexmap_tasks.model.review import ReviewDecisions
-from flexmap_tasks.model.source import Source
+from flexmap_tasks.model.review import COUNTS, ReviewDecisions
+from flexmap_tasks.transfer.values import format_kmh, speed_kmh
 
 UNUSED = "review-decision-unused"
+Key = tuple[int, int, str, str, str]
+"""Lanelet, way, key, the map's value and the one offered."""
 
 
 @stage("reviewed")
-def apply_review(enriched: Enriched, source: Source) -> Enriched:
-    """The enriched map with what was accepted written, and the table saying who decided.
+def apply_review(
+    enriched: Enriched,
+    values: ReviewDecisions,
+    lanes: ReviewDecisions,
+    fragments: ReviewDecisions,
+    unused_matches: ReviewDecisions,
+) -> Enriched:
+    """The enriched map with what was accepted written, and the tables saying who decided.
 
-    A decision counts for a row that is up for review and has the same lanelet, attribute, old and new value and
-    way; of several for one row the last one counts. One that meets no such row changes nothing and becomes a
-    finding: the ground it was made on has changed, and the row, if it is still there, is open again.
+    A decision counts for a row that is up for review and has the same lanelet, key, old and new value and way; of
+    several for one row the last one counts. One that meets no such row changes nothing and becomes a finding: the
+    ground it was made on has changed, and the row, if it is still there, is open again.
+
+    fragments : carried out by transfer already; unused_matches : decisions that met no piece of a lanelet
     """
-    decisions = read_review_decisions(source)
-    table = enriched.transfers
-    row, used = _matched(table, decisions)
+    table, written, unused_values = _decided_values(enriched.transfers, values)
+    check, table, unused_lanes = _decided_lanes(enriched.lane_check, table, lanes)
+    unused = (unused_values, unused_lanes, _unused_fragments(table, fragments), unused_matches)
+    return Enriched(
+        map=_write(enriched.map, table, written),
+        transfers=table,
+        lane_check=check,
+        findings=_with_unused(enriched.findings, unused),
+    )
+
+
+def _decided_values(table: Transfers, decisions: ReviewDecisions) -> tuple[Transfers, Ints, ReviewDecisions]:
+    """The table with the decisions in it, the rows whose value is to be written, and the decisions that met none."""
+    asked = np.flatnonzero((table.action == "review") & (table.key != "fragment"))
+    row, unused = _met([(_key(table, i), i) for i in asked.tolist()], decisions)
     action, reason, new = table.action.copy(), table.reason.copy(), table.new.copy()
-    for d in np.flatnonzero(row >= 0).tolist():
-        i, accepted = row[d], decisions.accept[d] == "accept"
-        note = f" ({decisions.note[d]})" if decisions.note[d] else ""
-        action[i] = "set" if accepted else "keep"
-        reason[i] = f"{'accepted' if accepted else 'rejected'} by a person{note}"
-        new[i] = decisions.value[d] or table.new[i] if accepted else table.new[i]
+    written = []
+    for i, d in row.items():
+        accepted = decisions.accept[d] == "accept"
+        value = _value(str(table.key[i]), str(decisions.value[d] or table.new[i]))
+        if accepted and value is None:
+            unused[d] = True
+            continue
+        writes = accepted and table.key[i] not in ("", *COUNTS)
+        if writes:
+            written.append(i)
+            new[i] = value
+        action[i] = "set" if writes else "keep"
+        reason[i] = f"{'accepted' if accepted else 'rejected'} {decisions.by(d)}"
     settled = replace(table, action=action, reason=reason, new=new)
-    written = np.unique(row[(row >= 0) & (decisions.accept == "accept")])
-    return replace(
-        enriched,
-        map=_write(enriched.map, settled, written),
-        transfers=settled,
-        findings=_with_unused(enriched.findings, decisions, ~used),
-    )
+    return settled, np.array(sorted(written), dtype=np.int64), decisions.take(unused)
 
 
-def _matched(table: Transfers, decisions: ReviewDecisions) -> tuple[Ints, np.ndarray]:
-    """(n,) row that each decision settles, -1 where a later one does or there is none; and whether it met one."""
-    asked = np.flatnonzero((table.action == "review") & (table.key != ""))
-    place = {_key(table, i): i for i in asked.tolist()}
-    row = np.array([place.get(_key(decisions, d), -1) for d in range(len(decisions))], dtype=np.int64)
-    used = row >= 0
-    last = {i: d for d, i in enumerate(row.tolist())}
-    superseded = np.array([i >= 0 and last[i] != d for d, i in enumerate(row.tolist())], dtype=bool)
-    return np.where(superseded, -1, row), used
+def _value(key: str, text: str) -> str | None:
+    """What is written for a value as a person gave it; None where it cannot be: a limit must be a speed."""
+    if key != "speed_limit":
+        return text
+    speed = speed_kmh(text, {})
+    return format_kmh(speed) if speed is not None and 0 < speed < inf else None
 
 
-def _key(table: Transfers | ReviewDecisions, i: int) -> tuple[int, int, str, str, str]:
+def _decided_lanes(
+    check: LaneCheck, table: Transfers, decisions: ReviewDecisions
+) -> tuple[LaneCheck, Transfers, ReviewDecisions]:
+    """The lane check with the decisions in it, on the rows of the table that tell the same too.
+
+    "accept": the way is right, the map is to be redrawn; "reject": the map is right; a number: that many there are.
+    """
+    asked = [
+        ((*_ids(check, i), "lanes", str(check.lanes_map[i]), str(check.lanes_osm[i])), i)
+        for i in np.flatnonzero(check.review).tolist()
+    ]
+    row, unused = _met(asked, decisions)
+    at = np.array(sorted(row), dtype=np.int64)
+    ruling = [row[i] for i in at.tolist()]
+    verdict, reason, review = check.verdict.copy(), check.reason.copy(), check.review.copy()
+    for i, d in zip(at.tolist(), ruling, strict=True):
+        wanted = int(decisions.value[d]) if decisions.value[d] else None
+        right = wanted == check.lanes_map[i] if wanted is not None else decisions.accept[d] == "reject"
+        verdict[i], review[i] = "agree" if right else "differ", False
+        told = f"{wanted} lanes" if wanted is not None else "the map is right" if right else "OSM is right"
+        reason[i] = f"{check.reason[i]}; {told}, decided {decisions.by(d)}"
+    same = np.flatnonzero((table.key == "lanes") & (table.action == "review"))
+    same = same[np.isin(table.lanelet_id[same], check.lanelet_id[at])]
+    action, why = table.action.copy(), table.reason.copy()
+    action[same] = "keep"
+    why[same] = reason[rows_of(check.lanelet_id, table.lanelet_id[same])]
     return (
-        int(table.lanelet_id[i]),
-        int(table.way_id[i]),
-        str(table.key[i]),
-        str(table.old[i]),
-        str(table.new[i]),
+        replace(check, verdict=verdict, reason=reason, review=review),
+        replace(table, action=action, reason=why),
+        decisions.take(unused),
     )
+
+
+def _unused_fragments(table: Transfers, decisions: ReviewDecisions) -> ReviewDecisions:
+    told = np.flatnonzero((table.key == "fragment") & (table.action != "review"))
+    return decisions.take(_met([(_key(table, i), i) for i in told.tolist()], decisions)[1])
+
+
+def _met(rows: list[tuple[Key, int]], decisions: ReviewDecisions) -> tuple[dict[int, int], Bools]:
+    """The last decision on each row that one speaks of, and which decisions speak of none."""
+    place: dict[Key, list[int]] = {}
+    for key, i in rows:
+        place.setdefault(key, []).append(i)
+    found = [place.get(decisions.key_of(d), []) for d in range(len(decisions))]
+    return {i: d for d, at in enumerate(found) for i in at}, np.array([not at for at in found], dtype=bool)
+
+
+def _ids(table: Transfers | LaneCheck, i: int) -> tuple[int, int]:
+    return int(table.lanelet_id[i]), int(table.way_id[i])
+
+
+def _key(table: Transfers, i: int) -> Key:
+    return (*_ids(table, i), str(table.key[i]), str(table.old[i]), str(table.new[i]))
 
 
 def _write(lanelet_map: LaneletMap, table: Transfers, rows: Ints) -> LaneletMap:
@@ -81,20 +147,20 @@ def _write(lanelet_map: LaneletMap, table: Transfers, rows: Ints) -> LaneletMap:
     )
 
 
-def _with_unused(findings: Findings, decisions: ReviewDecisions, unused: np.ndarray) -> Findings:
-    rows = np.flatnonzero(unused)
-
-    def column(old: Strings, new: list[str]) -> Strings:
-        return strings([*old, *new])
-
-    texts = [
-        f"the decision to {decisions.accept[d]} {decisions.key[d][:80]}={decisions.new[d][:80]} meets no open row"
-        for d in rows.tolist()
-    ]
-    return Findings(
-        column(findings.code, [UNUSED] * len(rows)),
-        column(findings.severity, ["info"] * len(rows)),
-        column(findings.primitive, ["lanelet"] * len(rows)),
-        np.concatenate([findings.id, decisions.lanelet_id[rows]]),
-        column(findings.message, texts),
+def _with_unused(findings: Findings, unused: Iterable[ReviewDecisions]) -> Findings:
+    rows = [(decisions, d) for decisions in unused for d in range(len(decisions))]
+    texts = [_told(decisions, d) for decisions, d in rows]
+    ids = np.array([decisions.lanelet_id[d] for decisions, d in rows], dtype=np.int64)
+    new = ([UNUSED] * len(rows), ["info"] * len(rows), ["lanelet"] * len(rows))
+    code, severity, primitive = (
+        strings([*old, *more])
+        for old, more in zip((findings.code, findings.severity, findings.primitive), new, strict=True)
     )
+    message = strings([*findings.message, *texts])
+    return Findings(code, severity, primitive, np.concatenate([findings.id, ids]), message)
+
+
+def _told(decisions: ReviewDecisions, d: int) -> str:
+    kind, key, offer = (str(text[d])[:80] for text in (decisions.kind, decisions.key, decisions.new))
+    about = f"way {decisions.way_id[d]}" if kind == "match" else f"{key}={offer}"
+    return f"the decision to {decisions.accept[d]} {about} ({kind}) meets no open row: its ground has changed"

@@ -7,7 +7,7 @@ that OSM lacks never empties one of the map.
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -16,12 +16,13 @@ from flexmap_tasks.engine.stage import stage
 from flexmap_tasks.model.arrays import Bools, Ints, Strings, strings
 from flexmap_tasks.model.conflation import Centerlines, Enriched, LaneCheck, Matches, Transfers
 from flexmap_tasks.model.maps import Findings, LaneletMap, PlacedRoads
+from flexmap_tasks.model.review import ReviewDecisions
 from flexmap_tasks.transfer.cuts.cut import Pieces, cut_map, whole
 from flexmap_tasks.transfer.cuts.places import CutPlan, plan_cuts
 from flexmap_tasks.transfer.cuts.wanted import Wanted, wanted_cuts
 from flexmap_tasks.transfer.doubt import doubt_speed_jumps, far_lane_counts
 from flexmap_tasks.transfer.facts import LaneletFacts, facts_of
-from flexmap_tasks.transfer.fragments import Removed, fragments, without
+from flexmap_tasks.transfer.fragments import Fragment, fragments, judged, unconnected, without
 from flexmap_tasks.transfer.lane_check import NO_LANES, NOT_COUNTED, LaneCounts, check_lanes, lane_counts
 from flexmap_tasks.transfer.side_check import check_sides
 from flexmap_tasks.transfer.table import (
@@ -46,17 +47,20 @@ def transfer(
     roads: PlacedRoads,
     params: TransferParams,
     last_release: LaneletMap | None = None,
+    decisions_on_fragments: ReviewDecisions | None = None,
 ) -> Enriched:
     """The map with OSM's values on the lanelets, what was done and why, and the lane check.
 
     With the map of the last release, values that a person has changed in `lanelet_map` since then stay. Ids of
-    lanelets, ways and nodes stay; a lanelet that is cut keeps its id for the first piece.
+    lanelets, ways and nodes stay; a lanelet that is cut keeps its id for the first piece. Fragments are put up for
+    review, unless `remove_fragments` or a person says that they go.
     """
     facts = facts_of(lanelet_map)
-    removed: list[Removed] = []
-    if params.remove_fragments:
-        removed = _fragments(lanelet_map, facts, centerlines, matches, roads, params)
-        lanelet_map = without(lanelet_map, np.array([r.lanelet_id for r in removed], dtype=np.int64))
+    found = _fragments(lanelet_map, facts, centerlines, matches, roads, params)
+    fragments_told = judged(found, decisions_on_fragments, params.remove_fragments)
+    gone = np.array([f.lanelet_id for f, action, _ in fragments_told if action == "remove"], dtype=np.int64)
+    if len(gone):
+        lanelet_map = without(lanelet_map, gone)
         facts = facts_of(lanelet_map)
     rows = usable_rows(matches, facts, roads, params)
     against = wrong_way(rows, facts, roads)
@@ -65,8 +69,8 @@ def transfer(
     wanted = _wanted(rows, sure, offers, contexts, facts, params) if params.split else []
     plan = plan_cuts(lanelet_map, facts, wanted, params)
     cut, pieces = cut_map(lanelet_map, facts, plan)
-    judged = Judged(rows, sure, _why_not(rows, against), offers, contexts, facts, pieces, roads)
-    values = doubt_speed_jumps(transfers(judged, params), cut, pieces, params)
+    told = Judged(rows, sure, _why_not(rows, against), offers, contexts, facts, pieces, roads)
+    values = doubt_speed_jumps(transfers(told, params), cut, pieces, params)
     on, counts = (
         _carriageways(rows.take(sure), facts, pieces, roads, params),
         lane_counts(centerlines, facts.lanelets),
@@ -74,12 +78,13 @@ def transfer(
     check = _lane_check(on, pieces, counts, roads)
     sides = check_sides(facts, pieces, on.road, on.sense, on.counted & ~on.in_junction, counts, roads)
     far = far_lane_counts(check, pieces, facts.lanelets.id[pieces.source], roads, params.lanes_far)
-    table = joined([values, far, sides, _cuts(rows, plan, facts, pieces, roads), _removals(removed, roads)])
+    cuts, odd = _cuts(rows, plan, facts, pieces, roads), _fragment_rows(fragments_told, roads)
+    table = joined([values, far, sides, cuts, odd])
     return Enriched(
         map=written(cut, pieces, values, check, params),
         transfers=ordered(table, np.unique(table.key.astype(str), return_inverse=True)[1]),
         lane_check=check,
-        findings=_findings(judged, against, check, params),
+        findings=_findings(told, against, check, params),
     )
 
 
@@ -129,12 +134,17 @@ def _cuts(rows: Rows, plan: CutPlan, facts: LaneletFacts, pieces: Pieces, roads:
     )
 
 
-def _removals(removed: list[Removed], roads: PlacedRoads) -> Transfers:
-    ids = np.array([r.lanelet_id for r in removed], dtype=np.int64)
+def _fragment_rows(told: list[tuple[Fragment, str, str]], roads: PlacedRoads) -> Transfers:
+    ids = np.array([f.lanelet_id for f, _, _ in told], dtype=np.int64)
     way_row = {int(w): i for i, w in enumerate(roads.network.way_id.tolist())}
-    road = np.array([way_row[r.way_id] for r in removed], dtype=np.int64)
-    action: Strings = np.full(len(ids), "remove", dtype=object)
-    return _plain(ids, ids, roads, road, action, strings(r.reason for r in removed))
+    road = np.array([way_row[f.way_id] for f, _, _ in told], dtype=np.int64)
+    plain = _plain(ids, ids, roads, road, strings(t[1] for t in told), strings(t[2] for t in told))
+    return replace(
+        plain,
+        key=np.full(len(ids), "fragment", dtype=object),
+        old=strings(str(f.lanes_map) for f, _, _ in told),
+        new=strings(str(f.lanes_osm) for f, _, _ in told),
+    )
 
 
 def _plain(
@@ -179,12 +189,15 @@ def _fragments(
     matches: Matches,
     roads: PlacedRoads,
     params: TransferParams,
-) -> list[Removed]:
+) -> list[Fragment]:
+    free = unconnected(lanelet_map, facts)
+    if not free.any():
+        return []
     rows = usable_rows(matches, facts, roads, params)
     sure = rows.take(rows.sure & ~wrong_way(rows, facts, roads))
     pieces, counts = whole(facts), lane_counts(centerlines, facts.lanelets)
     check = _lane_check(_carriageways(sure, facts, pieces, roads, params), pieces, counts, roads)
-    return fragments(lanelet_map, facts, counts, check)
+    return fragments(lanelet_map, facts, counts, check, free)
 
 
 def _findings(j: Judged, against: Bools, check: LaneCheck, params: TransferParams) -> Findings:

@@ -143,7 +143,8 @@ def test_counts() -> None:
     )  # fmt: skip
     check = LaneCheck(
         numbers(1, 2, 3, 4), numbers(1, 1, 1, 0), numbers(1, 1, 1, 1), numbers(1, 2, -1, -1),
-        strings(["agree", "differ", "unknown", "unmatched"]), text,
+        strings(["agree", "differ", "unknown", "unmatched"]),
+        np.array([False, True, False, False]), text,
     )  # fmt: skip
     findings = Findings(strings(["a"]), strings(["warning"]), strings(["way"]), numbers(1), strings(["m"]))
     quality = table(transfers=transfers, lane_check=check, map_findings=findings, transfer_findings=findings)

@@ -18,9 +18,12 @@ from transfer_worlds import (
     tags_of,
 )
 
-from flexmap_tasks.config import TransferParams, TransferRule
+from flexmap_tasks.config import CollapseParams, TransferParams, TransferRule
+from flexmap_tasks.formats.review_decisions_csv import decisions_of
+from flexmap_tasks.matching.collapse import collapse
 from flexmap_tasks.model.lanelets import lanelets_of
 from flexmap_tasks.transfer.lane_check import expected_lanes
+from flexmap_tasks.transfer.transfer import transfer
 
 
 def one_road(tmp_path: Path, **tags: str):
@@ -333,6 +336,28 @@ def test_fragments_go_only_on_request(tmp_path: Path) -> None:
     assert [r["lanelet_id"] for r in rows(after, action="remove")] == [stray]
     assert after.map.document.ways.id.tolist() == before.document.ways.id.tolist()
     assert stray not in after.lane_check.lanelet_id
+
+
+@pytest.mark.parametrize(
+    ("decision", "remove", "action"),
+    [("accept", False, "remove"), ("reject", True, "keep"), (None, False, "review"), (None, True, "remove")],
+)
+def test_a_person_decides_on_a_fragment(
+    tmp_path: Path, decision: str | None, remove: bool, action: str
+) -> None:
+    draft, _, stray = fragment_world(tmp_path)
+    before, roads = draft.read(tmp_path), roads_of([{"lanes": "2"}])
+    centerlines, params = collapse(before, CollapseParams()), TransferParams(remove_fragments=remove)
+    matches = along_x(before, [])
+    (row,) = rows(transfer(before, centerlines, matches, roads, params), key="fragment")
+    ground = {name: str(row[name]) for name in ("lanelet_id", "way_id", "key", "old", "new")}
+    told = [ground | {"kind": "fragment", "decision": decision}] if decision else []
+    elsewhere = {"kind": "fragment", "decision": "accept" if not remove else "reject", **ground, "new": "9"}
+    after = transfer(
+        before, centerlines, matches, roads, params, decisions_on_fragments=decisions_of([elsewhere, *told])
+    )
+    assert [r["action"] for r in rows(after, key="fragment", lanelet_id=stray)] == [action]
+    assert (stray in lanelets_of(after.map).id) == (action != "remove")
 
 
 def test_no_fragment_that_a_rule_names(tmp_path: Path) -> None:
