@@ -264,6 +264,7 @@ def _report(graph: Graph, config: FlexMapConfig, drawn: Drawn) -> None:
         quality=drawn.quality,
         gnss_use=adjusted.graph.field("gnss_use") if adjusted else None,
         held_out=adjusted.held_out if adjusted else None,
+        decided=conflated.decided if conflated else None,
         **shown,
     )
     graph.publish(".", page)

@@ -87,7 +87,7 @@ def conflate(graph: Graph, config: FlexMapConfig, maps: Maps, aligned: Aligned) 
     graph.publish("lane_check.parquet", enriched.field("lane_check"))
     graph.publish("findings.parquet", enriched.field("findings"))
     _compare_with_previous(graph, config, maps.lanelets, centerlines, placed, matches, aligned)
-    return Conflated(matches, matched.field("references"), enriched)
+    return Conflated(matches, matched.field("references"), enriched, decided)
 
 
 def _placed(graph: Graph, config: FlexMapConfig, name: str, roads: Ref, aligned: Aligned) -> Ref:

@@ -49,11 +49,12 @@ class Aligned:
 
 @dataclass(frozen=True, slots=True)
 class Conflated:
-    """What conflation decided, and the enriched map."""
+    """What conflation decided, the enriched map, and what people had decided before."""
 
     matches: Ref
     references: Ref
     enriched: Ref
+    decided: Ref | None
 
 
 @dataclass(frozen=True, slots=True)

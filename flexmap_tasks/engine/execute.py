@@ -15,7 +15,7 @@ from typing import Any
 
 from flexmap_tasks.engine.fingerprint import learn_code
 from flexmap_tasks.engine.graph import Input, Node, SourceRef
-from flexmap_tasks.engine.keys import action_key, input_types, preimage
+from flexmap_tasks.engine.keys import action_key, arguments, input_types, preimage
 from flexmap_tasks.engine.sources import Stamp, file_stamp, source_artifact
 from flexmap_tasks.errors import InputError, StoreError
 from flexmap_tasks.formats.artifacts import decode, encode
@@ -129,10 +129,10 @@ class Engine:
 
     def _compute(self, node: Node, image: Mapping[str, Any], values: Mapping[str, Any]) -> ActionRecord:
         started, clock = datetime.now(UTC), time.perf_counter()
-        arguments = {**dict.fromkeys(input_types(node.stage)), **values}  # what is not fed is None
+        given = arguments(node.stage, values)
         if node.params is not None:
-            arguments["params"] = node.params
-        value = node.stage.function(**arguments)
+            given["params"] = node.params
+        value = node.stage.function(**given)
         files = {path: self.store.put_blob(content) for path, content in encode(value, node.stage.artifact)}
         seconds = time.perf_counter() - clock
         host = socket.gethostname()

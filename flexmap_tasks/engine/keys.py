@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import functools
 import typing
 from collections.abc import Mapping
@@ -57,6 +58,36 @@ def _without_empty(value: Any) -> Any:
 
 @functools.cache
 def input_types(stage: AnyStage) -> dict[str, Any]:
-    """Types of a stage's inputs by name, `params` and the return value left out."""
+    """Types of a stage's inputs by name, `params` and the return value left out; gathered ones by their fields."""
+    types: dict[str, Any] = {}
+    for name, kind in _parameters(stage).items():
+        types |= _fields(kind) if _is_gathered(kind) else {name: kind}
+    return types
+
+
+def arguments(stage: AnyStage, values: Mapping[str, Any]) -> dict[str, Any]:
+    """What the stage is called with: inputs by name, None where there is none, gathered where it takes them as one.
+
+    A parameter whose type is a dataclass with `gathered = True` takes the inputs that are named as its fields.
+    """
+    out: dict[str, Any] = {}
+    for name, kind in _parameters(stage).items():
+        if _is_gathered(kind):
+            out[name] = kind(**{field: values.get(field) for field in _fields(kind)})
+        else:
+            out[name] = values.get(name)
+    return out
+
+
+def _parameters(stage: AnyStage) -> dict[str, Any]:
     hints = typing.get_type_hints(stage.function)
     return {name: kind for name, kind in hints.items() if name not in ("params", "return")}
+
+
+def _is_gathered(kind: Any) -> bool:
+    return dataclasses.is_dataclass(kind) and getattr(kind, "gathered", False)
+
+
+def _fields(kind: Any) -> dict[str, Any]:
+    hints = typing.get_type_hints(kind)
+    return {field.name: hints[field.name] for field in dataclasses.fields(kind)}

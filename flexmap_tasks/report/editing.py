@@ -9,10 +9,10 @@ from flexmap_tasks.model.arrays import Floats
 from flexmap_tasks.model.maps import LaneletMap
 from flexmap_tasks.model.projection import Projection
 from flexmap_tasks.model.tracks import GnssTrack, Trajectory
-from flexmap_tasks.report import decisions, drive, maps
+from flexmap_tasks.report import decisions, drive
 from flexmap_tasks.report.embed import Json, Texts, millimetres
 from flexmap_tasks.report.html import editor_page
-from flexmap_tasks.report.report import frame_of
+from flexmap_tasks.report.report import drive_data, start_map
 from flexmap_tasks.report.review_items import review_items
 
 
@@ -31,21 +31,17 @@ def control_point_page(
     method : how runs align; whatever it is, the page shows what the pairs do as a rubber sheet
     """
     texts = Texts()
-    start = Warp(warp.motion, None)
     data: Json = {
+        **drive_data(projection, gnss, slam, warp, texts, gnss.xyz_m[:, :2]),
         "map": title,
         "method": method,
-        "gnss": drive.gnss_of(gnss, None, texts),
-        "slam": drive.slam_of(slam, gnss, warp, None),
         "points": drive.points_of(points, warp, texts),
-        "sheet": drive.sheet_of(warp),
-        "before": maps.map_of(maps.moved(source_map, start), texts) if source_map is not None else None,
+        "before": start_map(source_map, warp, texts),
         "after": None,
         "review": decisions.review_of(review_items(None, None, None), texts),
         "quality": [],
-        "frame": frame_of(projection, gnss.xyz_m[:, :2]),
+        "texts": texts.table(),
     }
-    data["texts"] = texts.table()
     return editor_page(title, data)
 
 

@@ -15,12 +15,12 @@ from flexmap_tasks.formats.geopackage import geopackage
 from flexmap_tasks.formats.kml import kml
 from flexmap_tasks.formats.qgis import Look, qgis_project
 from flexmap_tasks.formats.track_text_write import kitti_text, tum_text
-from flexmap_tasks.model.alignment import ControlPoints, Warp
-from flexmap_tasks.model.conflation import LaneCheck, Matches, Transfers
+from flexmap_tasks.model.conflation import Matches
 from flexmap_tasks.model.layers import VectorLayer
-from flexmap_tasks.model.maps import Findings, LaneletMap, RoadNetwork
+from flexmap_tasks.model.maps import Findings, LaneletMap
 from flexmap_tasks.model.projection import Projection
-from flexmap_tasks.model.tracks import GnssTrack, Trajectory
+from flexmap_tasks.model.shown import Shown
+from flexmap_tasks.model.tracks import Trajectory
 from flexmap_tasks.report import layers as make
 from flexmap_tasks.report.bundle_check import CODES
 from flexmap_tasks.report.decisions import Links, finding_places, links_between
@@ -28,6 +28,7 @@ from flexmap_tasks.report.foxglove import foxglove_recording
 from flexmap_tasks.report.issues import issues_json
 from flexmap_tasks.report.josm import josm_layer
 from flexmap_tasks.report.maps import moved
+from flexmap_tasks.report.report import final_map_of
 from flexmap_tasks.report.review_items import ReviewItems, review_items
 
 PACKAGE = "flexmap.gpkg"
@@ -71,67 +72,55 @@ LOOKS = {
 
 
 @stage("layers")
-def export_layers(
-    projection: Projection,
-    gnss: GnssTrack,
-    slam: Trajectory,
-    aligned: Trajectory,
-    warp: Warp,
-    control_points: ControlPoints | None,
-    source_map: LaneletMap | None,
-    final_map: LaneletMap | None,
-    map_warp: Warp | None,
-    roads: RoadNetwork | None,
-    matches: Matches | None,
-    transfers: Transfers | None,
-    lane_check: LaneCheck | None,
-    map_findings: Findings | None,
-    transfer_findings: Findings | None,
-    bundle_findings: Findings | None,
-    params: ReportParams,
-) -> dict[str, bytes]:
+def export_layers(shown: Shown, aligned: Trajectory, params: ReportParams) -> dict[str, bytes]:
     """Files by name: flexmap.gpkg and flexmap.qgs, a GeoJSON per layer, flexmap.kml, flexmap.mcap, the aligned
     trajectory for evo, review.osm for JOSM, issues.json.
 
-    Inputs as for the report; aligned : the poses in the map frame; bundle_findings : of the bundle read back.
+    aligned : the poses in the map frame
     """
-    final = moved(final_map, map_warp) if final_map is not None and map_warp is not None else final_map
+    final = final_map_of(shown)
     lanelets = make.lanes_of(final) if final is not None else None
-    items = review_items(matches, transfers, lane_check)
-    layers = make.track_layers(gnss, slam, warp, projection)
-    if control_points is not None:
-        layers.append(make.point_layer(control_points, projection))
-    if final is not None and lanelets is not None:
-        layers += make.map_layers(final, lanelets, transfers, lane_check, projection)
-        layers.append(_review(items, lanelets, projection))
-        noticed = [f for f in (map_findings, transfer_findings) if f is not None]
-        layers += [_findings(noticed, final, lanelets, projection)] if noticed else []
-    if roads is not None:
-        layers.append(make.road_layer(roads))
-    if roads is not None and matches is not None and source_map is not None:
-        xy_m = projection.to_xy_m(roads.lonlat_deg)
-        layers.append(
-            _links(links_between(matches, moved(source_map, warp), roads, xy_m), matches, projection)
-        )
-    order = list(LOOKS)
-    layers.sort(key=lambda layer: order.index(layer.name))
-    start = np.column_stack([warp.motion.apply_xy(slam.xyz_m[:, :2]), slam.xyz_m[:, 2]])
-    shown = next(
-        ((lanelets, lane_check, layer) for layer in layers if layer.name == "lanelets" and lanelets), None
-    )
-    title = params.map
-    files = _vector_files(title, layers)
-    files["flexmap.mcap"] = foxglove_recording(gnss, start, slam, aligned, shown, projection)
+    items = review_items(shown.matches, shown.transfers, shown.lane_check)
+    layers = _layers(shown, final, lanelets, items)
+    files = _vector_files(params.map, layers)
+    drawn = next((layer for layer in layers if layer.name == "lanelets" and lanelets), None)
+    on_map = (lanelets, shown.lane_check, drawn) if lanelets is not None and drawn is not None else None
+    slam, projection = shown.slam, shown.projection
+    start = np.column_stack([shown.warp.motion.apply_xy(slam.xyz_m[:, :2]), slam.xyz_m[:, 2]])
+    files["flexmap.mcap"] = foxglove_recording(shown.gnss, start, slam, aligned, on_map, projection)
     files |= _trajectory(aligned)
     if lanelets is not None:
         files["review.osm"] = josm_layer(items, lanelets, projection)
     told = {
-        "flexmap-map": (map_findings, ()),
-        "flexmap-conflation": (transfer_findings, ()),
-        "flexmap-bundle": (bundle_findings, CODES),
+        "flexmap-map": (shown.map_findings, ()),
+        "flexmap-conflation": (shown.transfer_findings, ()),
+        "flexmap-bundle": (shown.bundle_findings, CODES),
     }
     files["issues.json"] = issues_json({k: (f, codes) for k, (f, codes) in told.items() if f is not None})
     return files
+
+
+def _layers(
+    shown: Shown, final: LaneletMap | None, lanelets: make.Lanes | None, items: ReviewItems
+) -> list[VectorLayer]:
+    """All layers of features, from top to bottom."""
+    projection, roads, matches = shown.projection, shown.roads, shown.matches
+    layers = make.track_layers(shown.gnss, shown.slam, shown.warp, projection)
+    if shown.control_points is not None:
+        layers.append(make.point_layer(shown.control_points, projection))
+    if final is not None and lanelets is not None:
+        layers += make.map_layers(final, lanelets, shown.transfers, shown.lane_check, projection)
+        layers.append(_review(items, lanelets, projection))
+        noticed = [f for f in (shown.map_findings, shown.transfer_findings) if f is not None]
+        layers += [_findings(noticed, final, lanelets, projection)] if noticed else []
+    if roads is not None:
+        layers.append(make.road_layer(roads))
+    if roads is not None and matches is not None and shown.source_map is not None:
+        xy_m = projection.to_xy_m(roads.lonlat_deg)
+        ends = links_between(matches, moved(shown.source_map, shown.warp), roads, xy_m)
+        layers.append(_links(ends, matches, projection))
+    order = list(LOOKS)
+    return sorted(layers, key=lambda layer: order.index(layer.name))
 
 
 def _vector_files(title: str, layers: Sequence[VectorLayer]) -> dict[str, bytes]:

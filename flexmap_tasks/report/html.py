@@ -16,31 +16,61 @@ _SLOT = re.compile(r"<!--slot:([a-z]+)-->")
 _SOURCE_MAP = re.compile(r"^//# sourceMappingURL=.*$", re.MULTILINE)
 
 
+NOBODY, ITS_SERVER = "'none'", "'self'"
+"""Whom a page may talk to."""
+PLACES = (("points", "./", "Control points"), ("review", "review", "Review"))
+"""The editor's pages: name, address beside the other, title."""
+
+
 def page(title: str, data: Json) -> bytes:
     """The whole report, the same for the same data.
 
     The policy allows exactly the scripts and styles that stand in it, and no connection at all.
     """
-    return _filled("report.html", parts.SCRIPTS, title, data, connect="'none'")
+    return _filled("report.html", parts.SCRIPTS, title, "report", data, NOBODY)
+
+
+def review_page(title: str, data: Json) -> bytes:
+    """The report with a server behind it, to which decisions are saved; it may talk to nobody else."""
+    return _filled("report.html", parts.SCRIPTS, title, "review", data, ITS_SERVER, _nav("review"))
 
 
 def editor_page(title: str, data: Json) -> bytes:
-    """The editor's page, which may talk to the server it came from and to nobody else."""
-    return _filled("editor.html", parts.EDITOR_SCRIPTS, title, data, connect="'self'")
+    """The editor of control points; it may talk to the server it came from and to nobody else."""
+    return _filled("editor.html", parts.EDITOR_SCRIPTS, title, "editor", data, ITS_SERVER, _nav("points"))
 
 
-def _filled(template: str, names: Sequence[str], title: str, data: Json, connect: str) -> bytes:
+def _nav(here: str) -> str:
+    links = (
+        f'<a href="{address}"{" aria-current=page" if name == here else ""}>{text}</a>'
+        for name, address, text in PLACES
+    )
+    return f'<nav class="nav" aria-label="Pages">{"".join(links)}</nav>'
+
+
+def _filled(
+    template: str, names: Sequence[str], title: str, kind: str, data: Json, connect: str, nav: str = ""
+) -> bytes:
     scripts = [_library("leaflet.js"), _library("uplot.js"), _own_script(names)]
     styles = [_library("leaflet.css"), _library("uplot.css"), parts.text("report.css")]
     filled = {
         "policy": html.escape(_policy(scripts, styles, connect)),
         "title": html.escape(title),
+        "kind": kind,
+        "brand": parts.text("brand.html").rstrip(),
+        "nav": nav,
         "styles": "\n".join(f"<style>{style}</style>" for style in styles),
         "data": script_json(data),
         "scripts": "\n".join(f"<script>{script}</script>" for script in scripts),
         "libraries": html.escape("\n".join(map(parts.vendored, LICENCES))),
     }
-    return _SLOT.sub(lambda slot: filled[slot[1]], parts.text(template)).encode()
+    filled["head"] = _fill(parts.text("head.html"), filled)
+    return _fill(parts.text(template), filled).encode()
+
+
+def _fill(template: str, filled: Json) -> str:
+    """The template with its slots filled; what fills them is not looked at again."""
+    return _SLOT.sub(lambda slot: str(filled[slot[1]]), template)
 
 
 def _own_script(names: Sequence[str]) -> str:

@@ -8,15 +8,17 @@ import numpy as np
 
 from flexmap_tasks.config import ReportParams
 from flexmap_tasks.engine.stage import stage
-from flexmap_tasks.model.alignment import ControlPoints, RigidMotion, Warp
+from flexmap_tasks.model.alignment import RigidMotion, Warp
 from flexmap_tasks.model.arrays import Floats
-from flexmap_tasks.model.conflation import LaneCheck, Matches, Transfers
-from flexmap_tasks.model.maps import Findings, LaneletMap, RoadNetwork
+from flexmap_tasks.model.maps import LaneletMap
 from flexmap_tasks.model.pose_graph import GnssUse, HeldOut
 from flexmap_tasks.model.projection import Projection
 from flexmap_tasks.model.quality import Quality
+from flexmap_tasks.model.review import Decided
+from flexmap_tasks.model.shown import Shown
 from flexmap_tasks.model.tracks import GnssTrack, Trajectory
 from flexmap_tasks.report import decisions, drive, maps
+from flexmap_tasks.report.decided import decided_rows
 from flexmap_tasks.report.embed import Json, Texts
 from flexmap_tasks.report.html import page
 from flexmap_tasks.report.review_items import review_items
@@ -29,63 +31,90 @@ GRID = 9
 
 @stage("report")
 def report(
-    projection: Projection,
-    gnss: GnssTrack,
-    slam: Trajectory,
-    warp: Warp,
+    shown: Shown,
     quality: Quality,
-    control_points: ControlPoints | None,
     gnss_use: GnssUse | None,
     held_out: HeldOut | None,
-    source_map: LaneletMap | None,
-    final_map: LaneletMap | None,
-    map_warp: Warp | None,
-    roads: RoadNetwork | None,
-    matches: Matches | None,
-    transfers: Transfers | None,
-    lane_check: LaneCheck | None,
-    map_findings: Findings | None,
-    transfer_findings: Findings | None,
-    bundle_findings: Findings | None,
+    decided: Decided | None,
     params: ReportParams,
 ) -> dict[str, bytes]:
-    """`report.html`.
+    """`report.html`; `decided` is what people decided before this run."""
+    return {REPORT_FILE: page(params.map, report_data(shown, quality, gnss_use, held_out, decided, params))}
 
-    slam, source_map : in the SLAM frame; warp : from there to the map frame, in which everything is drawn
-    final_map : the finished map; map_warp : the warp to draw it with where it stayed in the SLAM frame
-    matches : pieces of the lanelets of `source_map`; transfers, lane_check : lanelets of `final_map`
-    What the run did not make is None.
-    """
+
+def report_data(
+    shown: Shown,
+    quality: Quality,
+    gnss_use: GnssUse | None,
+    held_out: HeldOut | None,
+    decided: Decided | None,
+    params: ReportParams,
+) -> Json:
+    """All that the page is told."""
     texts = Texts()
-    start = Warp(warp.motion, None)
-    final = maps.moved(final_map, map_warp) if final_map is not None and map_warp is not None else final_map
-    findings = [f for f in (map_findings, transfer_findings, bundle_findings) if f is not None]
-    data: Json = {
+    final = final_map_of(shown)
+    found = [f for f in (shown.map_findings, shown.transfer_findings, shown.bundle_findings) if f is not None]
+    items = review_items(shown.matches, shown.transfers, shown.lane_check)
+    near = np.concatenate([shown.gnss.xyz_m[:, :2], *([final.xyz_m[:, :2]] if final is not None else [])])
+    return {
+        **drive_data(shown.projection, shown.gnss, shown.slam, shown.warp, texts, near, gnss_use, held_out),
+        **_conflation_data(shown, near, texts),
+        "points": drive.points_of(shown.control_points, shown.warp, texts),
+        "before": start_map(shown.source_map, shown.warp, texts),
+        "after": maps.map_of(final, texts) if final is not None else None,
+        "review": decisions.review_of(items, texts),
+        "decisions": decided_rows(decided, shown.matches, shown.transfers, shown.lane_check),
+        "findings": decisions.findings_of(found, final, texts),
+        "quality": [dataclasses.asdict(m) for m in quality.measures],
+        "motion": _motion(shown.warp.motion),
+        "map": params.map,
+        "texts": texts.table(),
+    }
+
+
+def drive_data(
+    projection: Projection, gnss: GnssTrack, slam: Trajectory, warp: Warp, texts: Texts, near: Floats,
+    gnss_use: GnssUse | None = None, held_out: HeldOut | None = None,
+) -> Json:  # fmt: skip
+    """The tracks, how they were brought together, and the frame they lie in."""
+    return {
         "gnss": drive.gnss_of(gnss, gnss_use, texts),
         "slam": drive.slam_of(slam, gnss, warp, held_out),
-        "points": drive.points_of(control_points, warp, texts),
         "sheet": drive.sheet_of(warp),
-        "before": maps.map_of(maps.moved(source_map, start), texts) if source_map is not None else None,
-        "after": maps.map_of(final, texts) if final is not None else None,
+        "frame": frame_of(projection, near),
+    }
+
+
+def start_map(source_map: LaneletMap | None, warp: Warp, texts: Texts) -> Json | None:
+    """The map as the rigid start leaves it."""
+    if source_map is None:
+        return None
+    return maps.map_of(maps.moved(source_map, Warp(warp.motion, None)), texts)
+
+
+def final_map_of(shown: Shown) -> LaneletMap | None:
+    """The finished map in the map frame."""
+    if shown.final_map is None or shown.map_warp is None:
+        return shown.final_map
+    return maps.moved(shown.final_map, shown.map_warp)
+
+
+def _conflation_data(shown: Shown, near: Floats, texts: Texts) -> Json:
+    """Roads and what was decided with them."""
+    matches, transfers, check, roads = shown.matches, shown.transfers, shown.lane_check, shown.roads
+    data: Json = {
         "matches": decisions.matches_of(matches, texts) if matches is not None else None,
         "transfers": decisions.transfers_of(transfers, texts) if transfers is not None else None,
-        "lane_check": decisions.lane_check_of(lane_check, texts) if lane_check is not None else None,
-        "review": decisions.review_of(review_items(matches, transfers, lane_check), texts),
-        "findings": decisions.findings_of(findings, final, texts),
-        "quality": [dataclasses.asdict(m) for m in quality.measures],
-        "motion": _motion(warp.motion),
+        "lane_check": decisions.lane_check_of(check, texts) if check is not None else None,
     }
-    near = np.concatenate([gnss.xyz_m[:, :2], *([final.xyz_m[:, :2]] if final is not None else [])])
-    if roads is not None:
-        xy_m = projection.to_xy_m(roads.lonlat_deg)
-        data["roads"], _ = maps.roads_of(roads, xy_m, near, ROADS_MARGIN_M, texts)
-        if matches is not None and source_map is not None:
-            links = decisions.links_between(matches, maps.moved(source_map, warp), roads, xy_m)
-            data["links"] = decisions.links_of(links)
-    data["frame"] = frame_of(projection, near)
-    data["map"] = params.map
-    data["texts"] = texts.table()
-    return {REPORT_FILE: page(params.map, data)}
+    if roads is None:
+        return data
+    xy_m = shown.projection.to_xy_m(roads.lonlat_deg)
+    data["roads"], _ = maps.roads_of(roads, xy_m, near, ROADS_MARGIN_M, texts)
+    if matches is not None and shown.source_map is not None:
+        links = decisions.links_between(matches, maps.moved(shown.source_map, shown.warp), roads, xy_m)
+        data["links"] = decisions.links_of(links)
+    return data
 
 
 def _motion(motion: RigidMotion) -> Json:

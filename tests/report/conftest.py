@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from report_runs import garching_inputs
+from report_runs import garching_inputs, made
 
 from flexmap_tasks.report.report import report
 
@@ -72,7 +72,7 @@ def open_report(browser: Any, tmp_path: Path) -> Iterator[Any]:
 
     def opened(inputs: dict[str, Any], address: str = "") -> Opened:
         file = tmp_path / "report.html"
-        file.write_bytes(report(**inputs)["report.html"])
+        file.write_bytes(made(report, inputs)["report.html"])
         window = browser.new_context(
             viewport={"width": 1400, "height": 900}, offline=True, accept_downloads=True
         )

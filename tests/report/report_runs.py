@@ -8,6 +8,8 @@ from typing import Any
 
 from flexmap_tasks.config import FlexMapConfig
 from flexmap_tasks.engine.graph import Ref, SourceRef
+from flexmap_tasks.engine.keys import arguments, input_types
+from flexmap_tasks.engine.stage import AnyStage
 from flexmap_tasks.model.source import Source
 from flexmap_tasks.pipeline import map_update
 
@@ -34,25 +36,30 @@ def garching(folder: Path, **changes: Any) -> FlexMapConfig:
 
 
 def inputs_of(config: FlexMapConfig, *stages: str) -> dict[str, dict[str, Any]]:
-    """What each of the named stages is called with, by stage and parameter; stages per item are not run."""
+    """What each of the named stages is fed with, by stage and input; stages per item are not run."""
     graph = map_update(config)
     values: dict[str, Any] = {}
     found: dict[str, dict[str, Any]] = {}
     for node in graph:
         if any(isinstance(r, Ref) and r.node not in values for r in node.inputs.values()) or node.each:
             continue
-        arguments = {name: _value(values, ref) for name, ref in node.inputs.items()}
-        for parameter in node.stage.function.__annotations__:
-            if parameter not in ("return", "params"):
-                arguments.setdefault(parameter, None)
+        inputs = dict.fromkeys(input_types(node.stage)) | {
+            name: _value(values, ref) for name, ref in node.inputs.items()
+        }
         if node.params is not None:
-            arguments["params"] = node.params
+            inputs["params"] = node.params
         if node.name in stages:
-            found[node.name] = arguments
+            found[node.name] = inputs
             if len(found) == len(stages):
                 break
-        values[node.name] = node.stage(**arguments)
+        values[node.name] = made(node.stage, inputs)
     return found
+
+
+def made(stage: AnyStage, inputs: dict[str, Any]) -> Any:
+    """What a stage makes of inputs by name, as `inputs_of` gives them."""
+    params = {"params": inputs["params"]} if "params" in inputs else {}
+    return stage(**arguments(stage, inputs), **params)
 
 
 def _value(values: dict[str, Any], ref: Ref | SourceRef) -> Any:

@@ -273,7 +273,7 @@ def test_a_decision_made_in_the_report_reaches_the_next_release(
     shown.page.evaluate(f"location.hash = '#item={first + 1}'")
     shown.page.locator(".decide").wait_for()
     shown.page.keyboard.press("y")
-    assert shown.page.inner_text("#decided") == "Save 1 decisions"
+    assert shown.page.inner_text("#decided") == "Save 1 decision"
     with shown.page.expect_download() as waiting:
         shown.page.click("#decided")
     file = tmp_path / "decisions.csv"

@@ -15,7 +15,7 @@ import pytest
 import shapely
 from mcap.reader import make_reader
 from report_runs import garching as garching_config
-from report_runs import inputs_of
+from report_runs import inputs_of, made
 from test_report_browser import poisoned
 
 from flexmap_tasks.formats.osm_xml import parse_osm_xml
@@ -32,7 +32,7 @@ def inputs(shared_data: Path) -> dict[str, Any]:
 
 @pytest.fixture(scope="module")
 def files(inputs: dict[str, Any]) -> dict[str, bytes]:
-    return export_layers(**inputs)
+    return made(export_layers, inputs)
 
 
 @pytest.fixture(scope="module")
@@ -124,7 +124,7 @@ def test_a_recording_with_time_gives_a_tum_file(inputs: dict[str, Any], tmp_path
     file_interface = pytest.importorskip("evo.tools.file_interface", reason="evo is not installed")
     stamps = 1_700_000_000_000_000_000 + np.arange(len(inputs["aligned"])) * 100_000_000
     timed = dataclasses.replace(inputs["aligned"], stamp_ns=stamps)
-    content = export_layers(**inputs | {"aligned": timed})["slam_aligned_tum.txt"]
+    content = made(export_layers, inputs | {"aligned": timed})["slam_aligned_tum.txt"]
     (tmp_path / "tum.txt").write_bytes(content)
     path = file_interface.read_tum_trajectory_file(tmp_path / "tum.txt")
     assert np.allclose(path.timestamps, stamps / 1e9)
@@ -166,7 +166,7 @@ def test_issues_have_the_validators_shape(files: dict[str, bytes], inputs: dict[
 
 
 def test_hostile_text_passes_through_every_format(inputs: dict[str, Any], tmp_path: Path) -> None:
-    files = export_layers(**poisoned(inputs))
+    files = made(export_layers, poisoned(inputs))
     for name in ("flexmap.kml", "flexmap.qgs", "review.osm"):
         ET.fromstring(files[name])
     (tmp_path / "p.gpkg").write_bytes(files["flexmap.gpkg"])
@@ -178,12 +178,12 @@ def test_hostile_text_passes_through_every_format(inputs: dict[str, Any], tmp_pa
 
 
 def test_the_same_run_gives_the_same_bytes(inputs: dict[str, Any], files: dict[str, bytes]) -> None:
-    assert export_layers(**inputs) == files
+    assert made(export_layers, inputs) == files
 
 
 def test_a_drive_without_maps_still_gives_its_tracks(inputs: dict[str, Any]) -> None:
     names = ("control_points", "source_map", "final_map", "roads", "matches", "transfers", "lane_check",
              "map_findings", "transfer_findings", "bundle_findings")  # fmt: skip
-    files = export_layers(**inputs | dict.fromkeys(names))
+    files = made(export_layers, inputs | dict.fromkeys(names))
     assert {"flexmap.gpkg", "flexmap.qgs", "flexmap.mcap", "tracks.geojson"} <= set(files)
     assert "review.osm" not in files

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
+from report_runs import made
 
 from flexmap_tasks.model.arrays import strings
 from flexmap_tasks.report.along import places_along
@@ -59,13 +60,13 @@ def test_places_along_straight_lines_are_where_they_should_be(lengths: list[floa
 
 
 def test_the_same_run_gives_the_same_bytes(garching: dict[str, Any]) -> None:
-    first, second = (report(**garching)["report.html"] for _ in range(2))
+    first, second = (made(report, garching)["report.html"] for _ in range(2))
     assert first == second
     assert len(first) < 3_000_000
 
 
 def test_the_policy_names_every_script_and_style_by_its_hash(garching: dict[str, Any]) -> None:
-    html = report(**garching)["report.html"].decode()
+    html = made(report, garching)["report.html"].decode()
     policy = re.search(r'Content-Security-Policy" content="([^"]+)"', html)
     assert policy is not None
     rules = policy[1].replace("&#x27;", "'")

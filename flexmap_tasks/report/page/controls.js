@@ -9,6 +9,7 @@ const legends = {
   changed: () => ["1 decision", "2 decisions", "3 and more"].map((text, i) => [`changed-${i}`, text]),
   sheet: () => [["sheet", "aligned"], ["sheet-before", "rigid start"]],
   points: () => [["point", "used"], ["point-unused", "not used"]],
+  review: () => [["review", "open"], ["decided", "decided"]],
   findings: () => ["error", "warning", "info"].map((s) => [`finding-${s}`, s]),
 };
 
@@ -126,6 +127,7 @@ const TABS = [
   ["quality", "Quality", qualityTable, true],
   ["transfers", "Attributes", transferTable, Boolean(data.transfers)],
   ["review", "Review", reviewTable, data.review.row.length > 0],
+  ["decisions", "Decisions", decisionTable, data.review.row.length + decided.size > 0],
   ["lanes", "Lane check", laneTable, Boolean(data.lane_check)],
   ["points", "Control points", pointTable, Boolean(points)],
   ["findings", "Findings", findingTable, Boolean(findings?.id.length)],

@@ -108,7 +108,8 @@ function matchList(id) {
   return rows.map((row) => el("div", { class: "piece" }, badge(m.decision[row]),
     el("span", {}, `${number(m.s_from_m[row], 1)}–${number(m.s_to_m[row], 1)} m`),
     m.way[row] !== "0" ? el("span", {}, "way ", link("way", m.way[row]), m.direction[row] < 0 ? " ⇠" : " ⇢") : null,
-    m.way[row] !== "0" ? score(m.confidence[row]) : null, el("span", { class: "reason" }, foreign(m.reason[row]))));
+    m.way[row] !== "0" ? score(m.confidence[row]) : null, el("span", { class: "reason" }, foreign(m.reason[row])),
+    m.decision[row] === "review" ? null : el("details", { open: Boolean(decisionOf(askedOfPiece(row))) }, el("summary", {}, "Decide otherwise"), decisionButtons(askedOfPiece(row)))));
 }
 
 function laneletPanel(id) {

@@ -128,7 +128,9 @@ function drawReview(view) {
   for (const [id, items] of reviewOf) {
     const at = placeOf(id);
     if (!at || !inView(view, ...at)) continue;
-    disc(view, ...at, view.k < 0.6 ? 3.6 : 6.5, inks.get("review"), inks.get("map"), view.k < 0.6 ? 0.9 : 1.6);
+    const open = items.some(isOpen), far = view.k < 0.6;
+    if (open) disc(view, ...at, far ? 3.6 : 6.5, inks.get("review"), inks.get("map"), far ? 0.9 : 1.6);
+    else disc(view, ...at, far ? 3 : 5, inks.get("map"), inks.get("act-set"), far ? 1.4 : 2.4);
     if (view.k >= 1.2 && items.length > 1) label(view, String(items.length), ...at, 9, -6);
   }
 }

@@ -53,12 +53,18 @@ function whole() {
 }
 
 document.addEventListener("keydown", (event) => {
-  if (event.ctrlKey || event.metaKey || event.altKey || /^(INPUT|SELECT|TEXTAREA)$/.test(event.target.tagName) && event.target.type !== "checkbox") return;
-  const keys = { n: () => step(1), p: () => step(-1), y: () => decideShown("accept"), x: () => decideShown("reject"), "/": () => $("search").focus(), f: whole, Escape: () => select(null), "?": () => $("about").showModal() };
+  const ordered = event.ctrlKey || event.metaKey, key = event.key.toLowerCase(), text = /^(text|search|number)$/.test(event.target.type);
+  if (ordered && !text && (key === "z" || key === "y")) {
+    event.preventDefault();
+    return key === "y" || event.shiftKey ? travelDecisions(redone, undone) : travelDecisions(undone, redone);
+  }
+  if (ordered && key === "s" && unsaved()) { event.preventDefault(); return saveDecisions(); }
+  if (ordered || event.altKey || /^(INPUT|SELECT|TEXTAREA)$/.test(event.target.tagName) && event.target.type !== "checkbox") return undefined;
+  const keys = { n: () => step(1), p: () => step(-1), y: () => decideShown("accept"), x: () => decideShown("reject"), c: () => decideShown("choose"), "/": () => $("search").focus(), f: whole, Escape: () => (pick ? choosing(null) : select(null)), "?": () => $("about").showModal() };
   if (/^[1-5]$/.test(event.key)) setView(Number(event.key) - 1);
   else if (keys[event.key]) keys[event.key]();
-  else return;
-  event.preventDefault();
+  else return undefined;
+  return event.preventDefault();
 });
 
 function headline() {
@@ -67,13 +73,13 @@ function headline() {
   add("deviation", `${number(value("deviation_before_all_rmse"))} → ${number(value("deviation_after_all_rmse"))} m`);
   if (data.matches) add("matched", percent(value("match_rate")));
   if (data.transfers) add("values set", number(value("transfers_set"), 0));
-  if (data.review.row.length) add("to review", number(data.review.row.length, 0), "review");
+  if (data.review.row.length) add("to review", number(openItems(), 0), "review");
   const missed = data.quality.filter((m) => m.passed === false).length;
   if (data.quality.some((m) => m.passed !== null)) add("limits", missed ? `${missed} missed` : "all kept", missed ? "missed" : "ok");
   $("figures").replaceChildren(...out);
 }
 
-headline();
+showDecided();
 document.documentElement.dataset.theme = "auto";
 map.invalidateSize({ pan: false });
 whole();

@@ -16,23 +16,39 @@ const latLng = (x, y) => L.latLng(y, x);
 
 // --- what is selected ----------------------------------------------------------------------------
 
-const state = { kind: null, id: null, item: -1, pose: null };
+/** item : of the review; pose : of the drive; offer : the way in question; hover : the way a click would choose */
+const state = { kind: null, id: null, item: -1, pose: null, offer: null, hover: null };
 
 const marks = {
   on: true,
   draw(view) {
+    for (const [id, ink] of [[state.offer, "review"], [state.hover, "selected"]]) {
+      if (id) trace(view, courseOf(id), inks.get(ink));
+    }
     if (state.kind === "lanelet") {
       const shown = after?.rowOf.has(state.id) ? after : before?.rowOf.has(state.id) ? before : null;
       if (shown) outline(view, shown.rings[shown.rowOf.get(state.id)], true);
-    } else if (state.kind === "way" && roads?.rowOf.has(state.id)) {
-      const row = roads.rowOf.get(state.id);
-      outline(view, Array.from(roads.xy.subarray(2 * roads.offset[row], 2 * roads.offset[row + 1])), false);
+    } else if (state.kind === "way") {
+      outline(view, courseOf(state.id), false);
     } else if (state.kind === "point") {
       disc(view, points.target[2 * state.id], points.target[2 * state.id + 1], 10, null, inks.get("selected"), 3);
     }
     if (state.pose !== null) disc(view, slam.after[2 * state.pose], slam.after[2 * state.pose + 1], 7, inks.get("slam-after"), inks.get("map"), 2.5);
   },
 };
+
+/** The course of a way, x0, y0, x1, ...; empty where the report does not show it. */
+function courseOf(id) {
+  const row = roads?.rowOf.get(id);
+  return row === undefined ? [] : Array.from(roads.xy.subarray(2 * roads.offset[row], 2 * roads.offset[row + 1]));
+}
+
+function trace(view, flat, colour) {
+  const path = new Paths();
+  path.add(flat, false);
+  path.stroke(view, inks.get("map"), 7);
+  path.stroke(view, colour, 4, [10, 5]);
+}
 
 function outline(view, flat, closed) {
   const path = new Paths();
@@ -57,6 +73,7 @@ function boxOfSelection(kind, id) {
 /** Select a lanelet, way or control point, or nothing; with `go` the map moves there when it is out of sight. */
 function select(kind, id = null, go = false) {
   Object.assign(state, { kind, id });
+  state.offer = null;
   if (state.item >= 0 && !(kind === "lanelet" && data.review.lanelet[state.item] === id)) setItem(-1);
   showDetails(kind, id);
   const box = kind && boxOfSelection(kind, id);
@@ -133,34 +150,48 @@ function thingAt(x, y) {
 
 map.on("click", (event) => {
   $("found").hidden = true;
-  select(...thingAt(event.latlng.lng, event.latlng.lat));
+  if (pick) return choosePicked(event.latlng.lng, event.latlng.lat);
+  return select(...thingAt(event.latlng.lng, event.latlng.lat));
 });
 map.on("mousemove", (event) => {
   const { lng: x, lat: y } = event.latlng, [lon, lat] = lonLat(x, y);
   $("readout").textContent = `x ${x.toFixed(DIGITS)}  y ${y.toFixed(DIGITS)} m   ${lat.toFixed(6)}, ${lon.toFixed(6)}   UTM ${data.frame.zone}`;
+  if (!pick) return;
+  const hover = roadAt(x, y, 14 / map.getZoomScale(map.getZoom(), 0));
+  if (hover !== state.hover) { state.hover = hover; scene.redraw(); }
 });
 
 // --- review, step by step --------------------------------------------------------------------------
+
+function openItems() {
+  let open = 0;
+  for (let i = 0; i < data.review.row.length; i++) if (isOpen(i)) open++;
+  return open;
+}
 
 function setItem(i) {
   state.item = i;
   const total = data.review.row.length;
   $("stepper").hidden = total === 0;
-  $("step").textContent = i < 0 ? `${total} to review` : `${i + 1} of ${total}`;
+  const open = openItems();
+  $("step").textContent = i < 0 ? `${open} to review` : `${i + 1} of ${total}`;
 }
 
 function stepTo(i) {
   if (layer("review")) setLayer("review", true);
+  choosing(null);
   setItem(i);
   select("lanelet", data.review.lanelet[i], true);
   setItem(i);
-  const { subject, have, offer, why } = question(i);
+  const { subject, have, offer, why } = question(i), about = asked(i);
+  state.offer = about.way_id;
   $("inspector").querySelector(".notice")?.remove();
   $("inspector").querySelector(".heading")?.after(el("div", { class: "question" },
     el("small", {}, `Review ${i + 1} of ${data.review.row.length} · ${KINDS[data.review.kind[i]]}`),
     el("p", {}, foreign(subject), ": map ", el("b", {}, have === "" ? "–" : foreign(have)), ", OSM ", el("b", {}, offer === "" ? "–" : foreign(offer))),
     el("p", { class: "reason" }, foreign(why)),
-    data.review.kind[i] === "value" ? decisionButtons(data.review.row[i]) : null));
+    decisionButtons(about)));
+  scene.redraw();
   writeAddress();
 }
 
@@ -172,3 +203,5 @@ function step(by) {
 $("next").addEventListener("click", () => step(1));
 $("previous").addEventListener("click", () => step(-1));
 $("decided").addEventListener("click", saveDecisions);
+$("undo").addEventListener("click", () => travelDecisions(undone, redone));
+$("redo").addEventListener("click", () => travelDecisions(redone, undone));

@@ -123,12 +123,12 @@ function transferTable() {
   ], { open: (i) => select("lanelet", t.lanelet[i], true), shown: passes });
 }
 
-const KINDS = { match: "match", value: "attribute", lanes: "lane count" };
+const KINDS = { match: "match", value: "attribute", lanes: "lane count", fragment: "fragment", change: "OSM change" };
 
 /** What item i of the review asks: { subject, have, offer, why }. */
 function question(i) {
   const row = data.review.row[i], kind = data.review.kind[i];
-  if (kind === "value") {
+  if (kind === "value" || kind === "fragment") {
     const t = data.transfers;
     return { subject: t.key[row] || "cut", have: t.old[row], offer: t.new[row], why: t.reason[row] };
   }
@@ -149,6 +149,7 @@ function reviewTable() {
     { name: "about", width: 130, get: (i) => question(i).subject },
     { name: "map has", width: 140, get: (i) => question(i).have },
     { name: "OSM says", width: 160, get: (i) => question(i).offer },
+    { name: "decision", width: 110, get: (i) => decisionOf(asked(i))?.decision ?? "open", show: (i) => badge(decisionOf(asked(i))?.decision ?? "open") },
     { name: "why", get: (i) => question(i).why },
   ], { open: (i) => stepTo(i) });
 }
