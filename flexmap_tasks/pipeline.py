@@ -46,7 +46,7 @@ def map_update(config: FlexMapConfig) -> Graph:
     graph = Graph()
     fixes = graph.run(ingest_gnss, only(GnssParams, config.gnss), source=SourceRef(config.gnss.file))
     slam = graph.run(ingest_slam, only(SlamParams, config.slam), source=SourceRef(config.slam.file))
-    lanelets = recorded = None
+    lanelets = recorded = moved = None
     if config.lanelet_map is not None:
         lanelets = recorded = graph.run(ingest_lanelet_map, source=SourceRef(config.lanelet_map.file))
     tiles = _ingest_cloud(graph, config)
@@ -55,7 +55,7 @@ def map_update(config: FlexMapConfig) -> Graph:
     aligned = _align(graph, config, fixes, slam, lanelets, tiles)
     moves_map = config.alignment.master == "gnss"
     if lanelets is not None and moves_map:
-        lanelets = graph.run(georeference_map, lanelet_map=lanelets, warp=aligned.warp)
+        lanelets = moved = graph.run(georeference_map, lanelet_map=lanelets, warp=aligned.warp)
     last_release = None
     if lanelets is not None:
         lanelets, last_release = with_edits(
@@ -77,7 +77,9 @@ def map_update(config: FlexMapConfig) -> Graph:
         graph.publish("map_findings.parquet", lanelets.field("findings"))
     if tiles is not None:
         cloud = _georeference_cloud(graph, config, tiles, aligned.warp if moves_map else None)
-    quality = _evaluate(graph, config, aligned, lanelets, conflated)
+    quality = _evaluate(
+        graph, config, aligned, lanelets, conflated, {"recorded_map": recorded, "moved_map": moved}
+    )
     checked = _check_bundle(graph, bundle, cloud) if bundle else None
     _report(graph, config, Drawn(recorded, lanelets, roads, aligned, conflated, quality, checked))
     return graph
@@ -210,7 +212,12 @@ def _check_bundle(graph: Graph, bundle: Ref, cloud: Cloud | None) -> Ref:
 
 
 def _evaluate(
-    graph: Graph, config: FlexMapConfig, aligned: Aligned, lanelets: Ref | None, conflated: Conflated | None
+    graph: Graph,
+    config: FlexMapConfig,
+    aligned: Aligned,
+    lanelets: Ref | None,
+    conflated: Conflated | None,
+    maps: Mapping[str, Ref | None],
 ) -> Ref:
     enriched, adjusted = conflated.enriched if conflated else None, aligned.adjusted
     quality = graph.run(
@@ -225,6 +232,7 @@ def _evaluate(
         gnss_use=adjusted.graph.field("gnss_use") if adjusted else None,
         held_out=adjusted.held_out if adjusted else None,
         control_points=aligned.control_points,
+        **maps,
         references=conflated.references if conflated else None,
         transfers=enriched.field("transfers") if enriched else None,
         lane_check=enriched.field("lane_check") if enriched else None,

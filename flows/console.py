@@ -29,6 +29,7 @@ HEADLINES = (
     "deviation_after_all_mean",
     "deviation_after_all_rmse",
     "deviation_after_valid_rmse",
+    "lane_width_change_max",
     "match_rate",
     "match_rate_by_length",
     "transfers_set",

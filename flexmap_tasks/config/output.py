@@ -25,6 +25,12 @@ class EvaluationParams(Params):
     match_rate_min: Share | None = Field(None, description="share of reference polylines with a match")
     sigma_max_m: Positive | None = Field(None, description="largest predicted deviation of a pose, per axis")
     held_out_rmse_max_m: Positive | None = Field(None, description="error on withheld GNSS")
+    lane_width_change_max_m: Positive | None = Field(
+        None, description="change of a lane's width anywhere by moving the map"
+    )
+    lanelets_folded_max: Annotated[int, Field(ge=0)] | None = Field(
+        0, description="lanelets whose outline crosses itself once the map is moved"
+    )
     held_out_block_m: NonNegative = Field(
         100.0,
         description="GNSS withheld in blocks of this length to see how far the pose graph can be trusted; 0 for none",

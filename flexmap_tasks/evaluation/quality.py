@@ -10,12 +10,13 @@ from flexmap_tasks.config import EvaluationParams
 from flexmap_tasks.engine.stage import stage
 from flexmap_tasks.evaluation.deviation import deviation
 from flexmap_tasks.evaluation.graph_quality import graph_measures
+from flexmap_tasks.evaluation.harm_geometry import shape_change
 from flexmap_tasks.evaluation.summary import measures_of, statistics
 from flexmap_tasks.geometry.sheet import affine_maps
 from flexmap_tasks.model.alignment import ControlPoints, RigidMotion, Warp
 from flexmap_tasks.model.arrays import Floats
 from flexmap_tasks.model.conflation import LaneCheck, References, Transfers
-from flexmap_tasks.model.maps import Findings
+from flexmap_tasks.model.maps import Findings, LaneletMap
 from flexmap_tasks.model.match_statistics import match_statistics
 from flexmap_tasks.model.pose_graph import GnssUse, GraphFigures, GraphNodes, HeldOut
 from flexmap_tasks.model.quality import Measure, Quality
@@ -23,6 +24,9 @@ from flexmap_tasks.model.tracks import GnssTrack, Trajectory
 
 ACTIONS = ("set", "keep", "review", "split", "remove")
 VERDICTS = ("agree", "differ", "unknown", "unmatched")
+MUCH_WIDER_M = 0.10
+"""A lane that is this much wider or narrower is another lane."""
+
 SEVERITIES = ("error", "warning", "info")
 
 
@@ -43,11 +47,14 @@ def evaluate(
     graph_nodes: GraphNodes | None = None,
     gnss_use: GnssUse | None = None,
     held_out: HeldOut | None = None,
+    recorded_map: LaneletMap | None = None,
+    moved_map: LaneletMap | None = None,
 ) -> Quality:
     """The figures of a map update.
 
     slam : the poses in their own frame; gnss : the fixes in the map frame; warp : from the one to the other
     antenna : the poses of the antenna where the alignment knows its lever arm: these are compared with the GNSS
+    recorded_map, moved_map : the lanelets before and after they were moved, where they were
     The rest is None where the run had no such step.
     """
     after_m = warp.apply(slam.xyz_m) if antenna is None else antenna.xyz_m
@@ -56,6 +63,8 @@ def evaluate(
         measures += graph_measures(graph_figures, graph_nodes, gnss_use, held_out, params)
     if control_points is not None and (warp.sheet is not None or graph_figures is None):
         measures += _residuals(control_points, warp)
+    if recorded_map is not None and moved_map is not None:
+        measures += _shape(recorded_map, moved_map, params)
     if references is not None:
         measures += _matching(references, params)
     if transfers is not None:
@@ -116,6 +125,19 @@ def _residuals(points: ControlPoints, warp: Warp) -> Iterator[Measure]:
         figures = statistics(np.hypot(*(used.target_xy_m - place).T))
         yield Measure(f"{name}_mean", figures["mean"], "m")
         yield Measure(f"{name}_max", figures["max"], "m")
+
+
+def _shape(recorded: LaneletMap, moved: LaneletMap, params: EvaluationParams) -> Iterator[Measure]:
+    """What moving the map did to its lanes: nine cross sections of every lanelet."""
+    shape = shape_change(recorded, moved)
+    change = shape.width_change_m[np.isfinite(shape.width_change_m)]
+    for measure in measures_of("lane_width_change", change):
+        limit = params.lane_width_change_max_m if measure.name == "lane_width_change_max" else None
+        yield Measure.at_most(measure.name, measure.value, measure.unit, limit)
+    wider = float((change > MUCH_WIDER_M).mean()) if len(change) else None
+    yield Measure("lane_width_changed_over_10cm", wider, "1")
+    folded = float(np.count_nonzero(shape.folded))
+    yield Measure.at_most("lanelets_folded", folded, "count", params.lanelets_folded_max)
 
 
 def _matching(references: References, params: EvaluationParams) -> Iterator[Measure]:

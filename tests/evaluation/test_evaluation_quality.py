@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -28,6 +29,7 @@ from flexmap_tasks.evaluation.quality import evaluate
 from flexmap_tasks.evaluation.summary import statistics
 from flexmap_tasks.formats.artifacts import encode
 from flexmap_tasks.ingest.gnss import ingest_gnss
+from flexmap_tasks.ingest.lanelet_map import ingest_lanelet_map
 from flexmap_tasks.ingest.slam import ingest_slam
 from flexmap_tasks.model.alignment import ControlPoints, RigidMotion, Warp
 from flexmap_tasks.model.arrays import Floats, strings
@@ -158,6 +160,20 @@ def test_counts() -> None:
         "lanes_agree": 1, "lanes_differ": 1, "lanes_unknown": 1, "lanes_unmatched": 1, "lanes_agreement": 0.5,
         "findings_error": 0, "findings_warning": 2, "findings_info": 0,
     }  # fmt: skip
+
+
+def test_what_moving_does_to_lanes(shared_data: Path) -> None:
+    recorded = ingest_lanelet_map(Source("map", shared_data / "garching" / "lanelet2_route_1.osm"))
+    wider, mirrored = (replace(recorded, xyz_m=recorded.xyz_m * (1, f, 1)) for f in (1.02, -1))
+    limits = {"lane_width_change_max_m": 0.05}
+    quality = table(recorded_map=recorded, moved_map=wider, limits=limits)
+    assert 0.05 < (quality.value("lane_width_change_max") or 0) < 0.4
+    assert 0 < (quality.value("lane_width_changed_over_10cm") or 0) < 0.2
+    assert quality.value("lanelets_folded") == 0
+    assert [m.name for m in quality.measures if m.passed is False] == ["lane_width_change_max"]
+    folded = table(recorded_map=recorded, moved_map=mirrored)
+    assert (folded.value("lanelets_folded") or 0) > 400
+    assert not folded.passed
 
 
 def test_every_name_once_and_json() -> None:
