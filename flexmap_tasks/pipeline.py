@@ -21,6 +21,8 @@ from flexmap_tasks.config import (
     OsmRoadsParams,
     PointCloudParams,
     ReportParams,
+    ScanParams,
+    ScanTilesParams,
     SlamParams,
 )
 from flexmap_tasks.engine.graph import Graph, Ref, SourceRef
@@ -33,6 +35,7 @@ from flexmap_tasks.ingest.lanelet_map import ingest_lanelet_map
 from flexmap_tasks.ingest.osm_fetch import fetch_osm, track_box
 from flexmap_tasks.ingest.osm_roads import ingest_osm_roads
 from flexmap_tasks.ingest.point_cloud import ingest_point_cloud
+from flexmap_tasks.ingest.scans import ingest_scans
 from flexmap_tasks.ingest.slam import ingest_slam
 from flexmap_tasks.pipeline_conflation import Maps, conflate, with_edits
 from flexmap_tasks.pipeline_parts import Adjusted, Aligned, Cloud, Conflated, Drawn, Drive, only
@@ -49,7 +52,7 @@ def map_update(config: FlexMapConfig) -> Graph:
     lanelets = recorded = moved = None
     if config.lanelet_map is not None:
         lanelets = recorded = graph.run(ingest_lanelet_map, source=SourceRef(config.lanelet_map.file))
-    tiles = _ingest_cloud(graph, config)
+    tiles = _ingest_cloud(graph, config, slam)
     roads = _ingest_roads(graph, config.osm, fixes)
 
     aligned = _align(graph, config, fixes, slam, lanelets, tiles)
@@ -85,11 +88,15 @@ def map_update(config: FlexMapConfig) -> Graph:
     return graph
 
 
-def _ingest_cloud(graph: Graph, config: FlexMapConfig) -> Ref | None:
-    if config.point_cloud is None:
+def _ingest_cloud(graph: Graph, config: FlexMapConfig, slam: Ref) -> Ref | None:
+    cloud = config.point_cloud
+    if cloud is None:
         return None
-    params = only(PointCloudParams, config.point_cloud)
-    return graph.run(ingest_point_cloud, params, source=SourceRef(config.point_cloud.file))
+    params, source = only(PointCloudParams, cloud), SourceRef(cloud.file)
+    if not cloud.has_scans:
+        return graph.run(ingest_point_cloud, params, source=source)
+    scans = ScanTilesParams(tiles=params, scans=only(ScanParams, cloud), poses=only(SlamParams, config.slam))
+    return graph.run(ingest_scans, scans, source=source, slam=slam, poses=SourceRef(config.slam.file))
 
 
 def _ingest_roads(graph: Graph, osm: OsmInput | None, fixes: Ref) -> Ref | None:

@@ -9,6 +9,9 @@ from pydantic import Field, StringConstraints, model_validator
 
 from flexmap_tasks.config.base import NonNegative, Params, Positive
 
+Metres = Annotated[float, Field(ge=-1000, le=1000)]
+Degrees = Annotated[float, Field(ge=-360, le=360)]
+
 
 class GnssParams(Params):
     """Which GNSS fixes to read from a recording."""
@@ -84,10 +87,61 @@ class PointCloudParams(Params):
         return self
 
 
-class PointCloudInput(PointCloudParams):
-    """The point cloud map in the SLAM frame."""
+class SensorPose(Params):
+    """Where the sensor sits in the body whose poses SLAM gives: x forward, y left, z up."""
+
+    x_m: Metres = 0.0
+    y_m: Metres = 0.0
+    z_m: Metres = 0.0
+    roll_deg: Degrees = 0.0
+    pitch_deg: Degrees = Field(0.0, description="positive: the sensor looks down")
+    yaw_deg: Degrees = Field(0.0, description="positive: to the left; turned by roll, then pitch, then yaw")
+
+
+class ScanParams(Params):
+    """How scans of a recording become a cloud."""
+
+    topic: str | None = Field(
+        None, description="of a recording: MCAP topic of the scans; may stay empty when only one fits"
+    )
+    sensor_pose: SensorPose | None = Field(
+        None, description="overrules the recording's transforms from the body to the sensor"
+    )
+    body_frame: str | None = Field(
+        None, description="frame that the SLAM poses are of; empty takes it from the topic of the poses"
+    )
+    min_range_m: NonNegative = Field(0.5, description="points nearer to the sensor are left out")
+    max_range_m: NonNegative = Field(
+        0.0, description="points further from the sensor are left out; 0 keeps all"
+    )
+    point_time: str = Field(
+        "auto", description="field with the time of each point; auto finds it, none places each scan at once"
+    )
+    pose_gap_s: Positive = Field(
+        1.0, description="no point is placed between poses further apart, unless the vehicle stood still"
+    )
+
+
+class PointCloudInput(ScanParams, PointCloudParams):
+    """The point cloud map in the SLAM frame, or the recording whose scans make one."""
 
     file: Path
+    format: Literal["auto", "cloud", "scans"] = Field(
+        "auto", description="auto takes *.mcap for a recording with scans, all else for a cloud"
+    )
+
+    @property
+    def has_scans(self) -> bool:
+        """The file is a recording."""
+        return self.format == "scans" or (self.format == "auto" and self.file.suffix.lower() == ".mcap")
+
+
+class ScanTilesParams(Params):
+    """Everything the making of a cloud from scans depends on."""
+
+    tiles: PointCloudParams
+    scans: ScanParams
+    poses: SlamParams
 
 
 class OsmFetchParams(Params):

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import logging
 import os
-import re
 import struct
 from collections.abc import Callable, Iterator
 from contextlib import closing
@@ -21,7 +20,7 @@ import numpy as np
 from flexmap_tasks.errors import InputError
 from flexmap_tasks.formats.las_header import LasHeader, read_las_header
 from flexmap_tasks.formats.pcd import BLOCK_BYTES, Records, opened, positions
-from flexmap_tasks.formats.pcd_header import AXES
+from flexmap_tasks.formats.pcd_header import AXES, usable_names
 from flexmap_tasks.formats.track_rows import printable
 from flexmap_tasks.model.source import Source
 
@@ -151,23 +150,14 @@ Dimension = tuple[str, str, np.dtype[Any], tuple[int, ...]]
 
 
 def _dimensions(point_format: laspy.PointFormat) -> list[Dimension]:
-    out: list[Dimension] = []
-    taken = {*AXES, "_"}
-    for dimension in point_format.dimensions:
-        if dimension.name in ("X", "Y", "Z"):
-            continue
-        kind: np.dtype[Any] = np.dtype("u1")
-        shape: tuple[int, ...] = ()
-        if dimension.dtype is not None:
-            whole = np.dtype(dimension.dtype)
-            kind, shape = whole.base, whole.shape
-        if dimension.is_scaled:
-            kind = np.dtype("<f8")
-        name = base = re.sub(r"[^A-Za-z0-9_]", "_", dimension.name)[:64] or "extra"
-        number = 1
-        while name in taken:
-            number += 1
-            name = f"{base}_{number}"
-        taken.add(name)
-        out.append((dimension.name, name, kind, shape))
-    return out
+    listed = [d for d in point_format.dimensions if d.name not in ("X", "Y", "Z")]
+    names = usable_names([d.name for d in listed], AXES)
+    return [(d.name, name, *_type_of(d)) for d, name in zip(listed, names, strict=True)]
+
+
+def _type_of(dimension: Any) -> tuple[np.dtype[Any], tuple[int, ...]]:
+    """Type and shape of a dimension in one point; parts of a byte get a byte of their own."""
+    if dimension.dtype is None:
+        return np.dtype("u1"), ()
+    whole = np.dtype(dimension.dtype)
+    return np.dtype("<f8") if dimension.is_scaled else whole.base, whole.shape

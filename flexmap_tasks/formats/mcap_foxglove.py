@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from typing import Any, TypeVar
 
 import numpy as np
@@ -50,7 +50,7 @@ def longest_poses(messages: Iterable[bytes], fields: Fields) -> Decoded:
     """The longest foxglove.PosesInFrame, the last of equal ones; its poses have no time of their own."""
     best: list[tuple[float, ...]] = []
     for number, raw in enumerate(messages):
-        poses = _guarded(number, raw, fields, lambda message: [_pose(p) for p in message["poses"]])
+        poses = guarded(number, raw, fields, lambda message: [_pose(p) for p in message["poses"]])
         best = poses if len(poses) >= len(best) else best
     values = np.asarray(best, dtype=np.float64).reshape(-1, len(POSE_COLUMNS))
     none = np.zeros(len(values), dtype=np.int64)
@@ -63,14 +63,15 @@ def _each(
     stamps: list[int] = []
     values: list[tuple[float, ...]] = []
     for number, raw in enumerate(messages):
-        stamp, value = _guarded(number, raw, fields, lambda message: (_stamp(message), row(message)))
+        stamp, value = guarded(number, raw, fields, lambda message: (stamp_of(message), row(message)))
         stamps.append(stamp)
         values.append(value)
     table = np.asarray(values, dtype=np.float64).reshape(-1, width)
     return Decoded(table, np.asarray(stamps, dtype=np.int64), np.arange(len(table)))
 
 
-def _guarded(number: int, raw: bytes, fields: Fields, use: Callable[[dict[str, Any]], T]) -> T:
+def guarded(number: int, raw: bytes, fields: Fields, use: Callable[[dict[str, Any]], T]) -> T:
+    """What `use` makes of a message; CdrError with its number where it does not fit its schema."""
     try:
         return use(fields(raw))
     except KeyError as error:
@@ -94,7 +95,8 @@ def _pose(pose: dict[str, Any]) -> tuple[float, ...]:
     return (*(float(position[axis]) for axis in "xyz"), *(float(turn[axis]) for axis in "xyzw"))
 
 
-def _stamp(message: dict[str, Any]) -> int:
+def stamp_of(message: Mapping[str, Any]) -> int:
+    """Nanoseconds since the epoch, 0 where the message gives no time."""
     stamp = message.get("timestamp") or {}
     total = int(stamp.get("sec", 0)) * NS_PER_S + int(stamp.get("nsec", 0))
     return total if 0 < total <= np.iinfo(np.int64).max else 0

@@ -76,30 +76,54 @@ def pose_stamped(cursor: Cursor) -> Decoded:
     return Decoded(_pose(cursor), stamp, cursor.rows)
 
 
-def transforms(parent: str, child: str) -> Decoder:
-    """Decoder of tf2_msgs/msg/TFMessage that keeps the transforms from `parent` to `child`."""
-    wanted = (_frame(parent.encode()), _frame(child.encode()))
+def transforms(data: Bytes, begin: Ints, end: Ints) -> dict[tuple[str, str], Decoded]:
+    """All transforms of tf2_msgs/msg/TFMessages by (parent, child) frame, in the order they came.
 
-    def decoder(cursor: Cursor) -> Decoded:
-        pieces = [Decoded(np.empty((0, len(POSE_COLUMNS))), np.empty(0, np.int64), np.empty(0, np.int64))]
-        for part, stamp, pairs, pose in _each_transform(cursor):
-            keep = np.fromiter((pair == wanted for pair in pairs), dtype=bool, count=len(pairs))
-            pieces.append(Decoded(pose[keep], stamp[keep], part.rows[keep]))
-        message = np.concatenate([piece.message for piece in pieces])
-        order = np.argsort(message, kind="stable")
-        values = np.concatenate([piece.values for piece in pieces])[order]
-        return Decoded(values, np.concatenate([piece.stamp_ns for piece in pieces])[order], message[order])
-
-    return decoder
-
-
-def frame_pairs(data: Bytes, begin: Ints, end: Ints) -> set[tuple[str, str]]:
-    """All (parent, child) frames in TFMessages; for the choice a user must make."""
-    found: set[tuple[bytes, bytes]] = set()
+    The same pair twice in a message keeps its order. Raises CdrError with the number of a bad message.
+    """
+    rows: dict[tuple[str, str], list[tuple[int, int, int]]] = {}
+    names: dict[bytes, str] = {}
+    tables: list[tuple[Ints, Ints, Floats]] = []
     for cursor in byte_orders(data, begin, end):
-        for _, _, pairs, _ in _each_transform(cursor):
-            found.update(pairs)
-    return {(a.decode(errors="replace"), b.decode(errors="replace")) for a, b in found}
+        for depth, (part, stamp, pairs, pose) in enumerate(_each_transform(cursor)):
+            for row, (parent, child) in enumerate(pairs):
+                pair = (_named(parent, names), _named(child, names))
+                rows.setdefault(pair, []).append((int(part.rows[row]), depth, len(tables)))
+            tables.append((part.rows, stamp, pose))
+    return {pair: _picked(sorted(places), tables) for pair, places in rows.items()}
+
+
+def _named(raw: bytes, names: dict[bytes, str]) -> str:
+    """The frame's name, decoded once."""
+    if raw not in names:
+        names[raw] = frame_name(raw)
+    return names[raw]
+
+
+def _picked(places: list[tuple[int, int, int]], tables: list[tuple[Ints, Ints, Floats]]) -> Decoded:
+    """Rows of the tables by (message, depth, table)."""
+    message, _, table = np.array(places, dtype=np.int64).T
+    stamp, values = np.empty(len(message), np.int64), np.empty((len(message), len(POSE_COLUMNS)))
+    for number in np.unique(table).tolist():
+        here = np.flatnonzero(table == number)
+        rows = np.searchsorted(tables[number][0], message[here])
+        stamp[here], values[here] = tables[number][1][rows], tables[number][2][rows]
+    return Decoded(values, stamp, message)
+
+
+def child_frame(message: bytes) -> str:
+    """child_frame_id of one nav_msgs/msg/Odometry."""
+    (cursor,) = byte_orders(
+        np.frombuffer(message, np.uint8), np.zeros(1, np.int64), np.array([len(message)], np.int64)
+    )
+    _header(cursor)
+    return frame_name(cursor.texts()[0])
+
+
+def frame_name(name: bytes | str) -> str:
+    """A frame's name: tf2 knows no leading slash, old nodes still write one."""
+    text = name.decode(errors="replace") if isinstance(name, bytes) else name
+    return text.removeprefix("/")
 
 
 def path_lengths(data: Bytes, begin: Ints, end: Ints) -> Ints:
@@ -136,17 +160,15 @@ def path(message: bytes) -> Decoded:
     return Decoded(table, np.asarray(stamps, dtype=np.int64), np.zeros(len(table), dtype=np.int64))
 
 
-def _each_transform(
-    cursor: Cursor,
-) -> list[tuple[Cursor, Ints, list[tuple[bytes, bytes]], Floats]]:
+def _each_transform(cursor: Cursor) -> list[tuple[Cursor, Ints, list[tuple[bytes, bytes]], Floats]]:
     """First transform of every message, then the second of those that have one, and so on."""
     left = _count(cursor, _LEAST_TRANSFORM)
     out = []
     while (more := left > 0).any():
         cursor, left = cursor.select(more), left[more] - 1
         stamp = _stamp(cursor)
-        parents = [_frame(text) for text in cursor.texts()]
-        children = [_frame(text) for text in cursor.texts()]
+        parents = cursor.texts()
+        children = cursor.texts()
         out.append((cursor, stamp, list(zip(parents, children, strict=True)), _pose(cursor)))
     return out
 
@@ -171,11 +193,6 @@ def _stamp(cursor: Cursor) -> Ints:
 def _pose(cursor: Cursor) -> Floats:
     pose: Floats = cursor.numbers("f8", len(POSE_COLUMNS))
     return pose
-
-
-def _frame(name: bytes) -> bytes:
-    # tf2 knows no leading slash; old nodes still write one.
-    return name.removeprefix(b"/")
 
 
 def _aligned(at: int, size: int) -> int:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, BinaryIO
 
@@ -210,3 +211,17 @@ class _Entries:
             return tuple(float(w) for w in words)
         except ValueError:
             raise self._error("VIEWPOINT", "VIEWPOINT needs seven numbers: x y z qw qx qy qz") from None
+
+
+def usable_names(names: Sequence[str], taken: Sequence[str] = ()) -> list[str]:
+    """Names as a header can hold them: letters, digits and underscores, each once, none of those taken."""
+    used, out = {*taken, PADDING}, []
+    for given in names:
+        name = base = re.sub(r"[^A-Za-z0-9_]", "_", given)[:64] or "field"
+        number = 1
+        while name in used:
+            number += 1
+            name = f"{base}_{number}"
+        used.add(name)
+        out.append(name)
+    return out

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
+import numpy as np
+
 from flexmap_tasks.model.arrays import Floats, Ints, require
 
 FIX_COLUMNS = (
@@ -14,6 +16,10 @@ FIX_COLUMNS = (
 
 POSE_COLUMNS = ("x_m", "y_m", "z_m", "qx", "qy", "qz", "qw")
 """Columns of a table of poses."""
+
+
+CLOCKS_APART_NS = 60_000_000_000
+"""Stamps this far from the log time come from another clock; less is the delay of logging."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -37,6 +43,16 @@ class Rows:
     def __post_init__(self) -> None:
         require(self.values.ndim == 2, "rows are a table")
         require(self.stamp_ns is None or len(self.stamp_ns) == len(self.values), "stamps differ in length")
+
+
+def fill_stamps(stamp_ns: Ints, log_time_ns: Ints) -> Ints:
+    """Stamps of the headers; where one is not set, the time the message was logged."""
+    given = stamp_ns > 0
+    lags = np.sort(log_time_ns[given] - stamp_ns[given])
+    lag = lags[len(lags) // 2] if len(lags) else np.int64(0)
+    # A node on simulated time stamps 0 until it hears the clock: its log time is put onto that clock.
+    shift = lag if abs(lag) > CLOCKS_APART_NS else np.int64(0)
+    return np.where(given, stamp_ns, log_time_ns - shift)
 
 
 def printable(text: str, limit: int = 100) -> str:

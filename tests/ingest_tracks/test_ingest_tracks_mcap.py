@@ -133,9 +133,9 @@ def test_a_frame_pair_of_transforms(tmp_path):
     poses = slam(file, parent_frame="map", child_frame="base")
     np.testing.assert_allclose(np.hstack([poses.xyz_m, poses.quaternion]), expected_poses(6), rtol=1e-15)
     with pytest.raises(
-        InputError, match=r"no transform map -> wheel; /tf has .*base -> wheel.*/tf_static has base -> lidar"
+        InputError, match=r"no transform map -> moon; /tf has .*base -> wheel.*/tf_static has base -> lidar"
     ):
-        slam(file, parent_frame="map", child_frame="wheel")
+        slam(file, parent_frame="map", child_frame="moon")
     with pytest.raises(
         InputError, match=r"needs slam\.parent_frame and slam\.child_frame; frames are: .*map -> base"
     ):
