@@ -19,6 +19,7 @@ from flexmap_tasks.config import (
     GraphHeldOutParams,
     OsmInput,
     OsmRoadsParams,
+    PairParams,
     PointCloudParams,
     ReportParams,
     ScanParams,
@@ -126,7 +127,7 @@ def _align(
     if alignment.method != "rigid" and alignment.control_points_file is not None:
         points = graph.run(
             control_points,
-            alignment.control_points,
+            PairParams(**alignment.control_points.model_dump(), sheet=alignment.method == "rubber_sheet"),
             source=SourceRef(alignment.control_points_file),
             slam=slam,
             gnss=gnss,

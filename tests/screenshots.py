@@ -13,8 +13,7 @@ from playwright.sync_api import sync_playwright
 from flexmap_tasks.config import FlexMapConfig
 from flexmap_tasks.formats.config_file import load_config
 from flexmap_tasks.store.store import Store
-from flows.editor.server import EditServer
-from flows.editor.session import EditSession
+from flows.editor.editors import edit_server
 
 WINDOW = {"width": 1400, "height": 900}
 VIEWS = {"report_overview": ("1", "light"), "report_alignment": ("2", "light"), "report_lanes": ("4", "dark")}
@@ -41,7 +40,7 @@ def main(config_file: Path, store_folder: str, folder: Path) -> None:
         page.click("[data-tab=review]")
         taken(page, folder / "report_review.png")
         if config.alignment.control_points_file is not None:
-            with EditServer(EditSession(config, store)) as server:
+            with edit_server(config, store) as server:
                 threading.Thread(target=server.serve_forever, daemon=True).start()
                 taken(opened(chromium, server.address, "light"), folder / "editor.png")
                 server.shutdown()

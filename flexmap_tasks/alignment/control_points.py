@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from flexmap_tasks.config import ControlPointsParams
+from flexmap_tasks.config import PairParams
 from flexmap_tasks.engine.stage import stage
 from flexmap_tasks.errors import AlignmentError
 from flexmap_tasks.formats.control_points_csv import ControlPointLine, Place, read_control_points
@@ -38,12 +38,13 @@ def control_points(
     gnss: GnssTrack,
     motion: RigidMotion,
     projection: Projection,
-    params: ControlPointsParams,
+    params: PairParams,
 ) -> ControlPoints:
     """The pairs of the user's file, both sides in the map frame, the source after the rigid start.
 
-    Raises AlignmentError, with line and name, for fewer than three pairs in use, pairs on one line, the
-    same place used twice, a row that a track does not have, and pairs too far apart to belong together.
+    Raises AlignmentError, with line and name, for the same place used twice, a row that a track does not have,
+    and pairs too far apart to belong together; for a rubber sheet also for fewer than three pairs in use, and for
+    pairs on one line.
     """
     lines = read_control_points(source)
     sources = np.array(
@@ -53,28 +54,33 @@ def control_points(
             )
             for x in lines
         ]
-    )
+    ).reshape(-1, 2)
     targets = np.array(
         [
             _settle(source, x, x.target, [_target_xy(source, x, p, gnss, projection) for p in x.target])
             for x in lines
         ]
-    )
-    used = np.array([line.use for line in lines])
+    ).reshape(-1, 2)
+    used = np.array([line.use for line in lines], dtype=bool)
     points = ControlPoints(
         label=strings(line.name for line in lines),
         source_xy_m=sources,
         target_xy_m=targets,
-        sigma_m=np.array([params.sigma_m if line.sigma_m is None else line.sigma_m for line in lines]),
+        sigma_m=np.array(
+            [params.sigma_m if line.sigma_m is None else line.sigma_m for line in lines], dtype=np.float64
+        ),
         used=used,
         reason=strings("given by the user" if line.use else "excluded by the user" for line in lines),
     )
     kept = [line for line in lines if line.use]
-    _check_count(source, len(kept))
-    _check_distances(source, kept, points, params.max_rigid_distance_m)
-    _check_doubled(source, kept, points.source_xy_m[used], "source")
-    _check_doubled(source, kept, points.target_xy_m[used], "target")
-    _check_collinear(source, points.source_xy_m[used])
+    if params.sheet:
+        _check_count(source, len(kept))
+    if kept:
+        _check_distances(source, kept, points, params.max_rigid_distance_m)
+        _check_doubled(source, kept, points.source_xy_m[used], "source")
+        _check_doubled(source, kept, points.target_xy_m[used], "target")
+    if params.sheet:
+        _check_collinear(source, points.source_xy_m[used])
     return points
 
 

@@ -45,6 +45,14 @@ class ControlPointsParams(Params):
     sigma_m: Positive = Field(0.1, description="standard deviation of a pair whose line gives none")
 
 
+class PairParams(ControlPointsParams):
+    """The same, with what the method needs of them."""
+
+    sheet: bool = Field(
+        True, description="they alone say how the plane is bent: at least three, not on a line"
+    )
+
+
 class RubberSheetParams(Params):
     """Rubber sheet (White and Griffin 1985)."""
 

@@ -95,10 +95,7 @@ def read_control_points(source: Source) -> list[ControlPointLine]:
             source.name, "is empty; expected a header line and one line per control point"
         ) from None
     columns = _columns(source, first, header)
-    points = [_point(source, line, columns, cells) for line, cells in rows]
-    if not points:
-        raise AlignmentError(source.name, "has no control points; add at least 3 lines under the header")
-    return points
+    return [_point(source, line, columns, cells) for line, cells in rows]
 
 
 def _rows(source: Source) -> Iterator[tuple[int, list[str]]]:

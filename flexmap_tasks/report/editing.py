@@ -25,16 +25,20 @@ def control_point_page(
     points: ControlPoints | None,
     source_map: LaneletMap | None,
     method: str,
+    base: str,
+    places: tuple[str, ...],
 ) -> bytes:
     """The editor for a drive; `warp` is the one now in force, `source_map` in the SLAM frame.
 
     method : how runs align; whatever it is, the page shows what the pairs do as a rubber sheet
+    base : digest of the file that `points` come from; places : the editor's pages
     """
     texts = Texts()
     data: Json = {
         **drive_data(projection, gnss, slam, warp, texts, gnss.xyz_m[:, :2]),
         "map": title,
         "method": method,
+        "editor": {"base": base},
         "points": drive.points_of(points, warp, texts),
         "before": start_map(source_map, warp, texts),
         "after": None,
@@ -42,7 +46,7 @@ def control_point_page(
         "quality": [],
         "texts": texts.table(),
     }
-    return editor_page(title, data)
+    return editor_page(title, data, places)
 
 
 def preview(points: ControlPoints, warp: Warp, slam: Trajectory, gnss: GnssTrack) -> Json:

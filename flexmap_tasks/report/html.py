@@ -30,20 +30,23 @@ def page(title: str, data: Json) -> bytes:
     return _filled("report.html", parts.SCRIPTS, title, "report", data, NOBODY)
 
 
-def review_page(title: str, data: Json) -> bytes:
+def review_page(title: str, data: Json, places: Sequence[str]) -> bytes:
     """The report with a server behind it, to which decisions are saved; it may talk to nobody else."""
-    return _filled("report.html", parts.SCRIPTS, title, "review", data, ITS_SERVER, _nav("review"))
+    nav = _nav("review", places)
+    return _filled("report.html", parts.SCRIPTS, title, "review", data, ITS_SERVER, nav)
 
 
-def editor_page(title: str, data: Json) -> bytes:
+def editor_page(title: str, data: Json, places: Sequence[str]) -> bytes:
     """The editor of control points; it may talk to the server it came from and to nobody else."""
-    return _filled("editor.html", parts.EDITOR_SCRIPTS, title, "editor", data, ITS_SERVER, _nav("points"))
+    nav = _nav("points", places)
+    return _filled("editor.html", parts.EDITOR_SCRIPTS, title, "editor", data, ITS_SERVER, nav)
 
 
-def _nav(here: str) -> str:
+def _nav(here: str, places: Sequence[str]) -> str:
     links = (
         f'<a href="{address}"{" aria-current=page" if name == here else ""}>{text}</a>'
         for name, address, text in PLACES
+        if name in places
     )
     return f'<nav class="nav" aria-label="Pages">{"".join(links)}</nav>'
 

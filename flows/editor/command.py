@@ -8,7 +8,6 @@ from pathlib import Path
 from cyclopts import App
 
 from flexmap_tasks.config import FlexMapConfig
-from flexmap_tasks.errors import ConfigError
 from flexmap_tasks.formats.config_file import load_config
 from flexmap_tasks.store.store import Store
 from flows import console
@@ -23,7 +22,9 @@ def add_to(app: App) -> None:
 def edit(
     config: Path, *, set_: Set = (), store: StoreUrl = STORE, port: int = 0, browser: bool = True
 ) -> None:
-    """Pick control points in the browser; saves them to the file the configuration names. Ctrl+C ends it.
+    """Pick control points and decide on what is up for review, in the browser. Ctrl+C ends it.
+
+    Saves to the files the configuration names: alignment.control_points_file and conflation.review_file.
 
     Parameters
     ----------
@@ -38,15 +39,10 @@ def edit(
     browser
         Open the page at once.
     """
-    from flows.editor.server import EditServer  # noqa: PLC0415 - loads the stages
-    from flows.editor.session import EditSession  # noqa: PLC0415 - the same
+    from flows.editor.editors import edit_server  # noqa: PLC0415 - loads the stages
 
-    session = EditSession(load_config(FlexMapConfig, config, set_), Store.open(store))
-    try:
-        server = EditServer(session, port)
-    except (OSError, OverflowError) as error:
-        raise ConfigError("--port", f"cannot listen on port {port} ({error}); leave it out") from error
-    with server:
+    settings = load_config(FlexMapConfig, config, set_)
+    with edit_server(settings, Store.open(store), port) as server:
         console.say(f"editing; open {server.address} (Ctrl+C ends it)")
         if browser:
             webbrowser.open(server.address)

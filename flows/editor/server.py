@@ -1,4 +1,4 @@
-"""A server for one person on this machine: loopback only, a secret in the address, three things it can do."""
+"""A server for one person on this machine: loopback only, a secret in the address, five things it can do."""
 
 from __future__ import annotations
 
@@ -10,10 +10,11 @@ from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from typing import Any
 
 from flexmap_tasks.errors import FlexMapError
+from flows.editor.review_session import ReviewSession
 from flows.editor.session import EditSession
 
 HOST = "127.0.0.1"
-MOST_BYTES = 2 << 20
+MOST_BYTES = 64 << 20
 TIMEOUT_S = 30
 HEADERS = {
     "Cache-Control": "no-store",
@@ -24,15 +25,27 @@ HEADERS = {
 }
 
 
+Page = Callable[[], bytes]
+Act = Callable[[dict[str, Any]], dict[str, Any]]
+
+
 class EditServer(ThreadingHTTPServer):
-    """Serves a session; whoever does not know the token is refused, and so is a page of another origin."""
+    """Serves sessions; whoever does not know the token is refused, and so is a page of another origin."""
 
     daemon_threads = True
 
-    def __init__(self, session: EditSession, port: int = 0) -> None:
+    def __init__(self, points: EditSession | None, review: ReviewSession | None, port: int = 0) -> None:
         """Listen on the loopback at `port`, or at one that is free when it is 0. Raises OSError where it is taken."""
         super().__init__((HOST, port), _Handler)
-        self.session, self.token = session, secrets.token_urlsafe(24)
+        self.token = secrets.token_urlsafe(24)
+        self.pages: dict[str, Page] = {}
+        self.acts: dict[str, Act] = {}
+        if review is not None:
+            self.pages |= {"review": review.page, "": review.page}
+            self.acts["decide"] = review.save
+        if points is not None:
+            self.pages[""] = points.page
+            self.acts |= {"preview": points.preview, "save": points.save}
 
     @property
     def origin(self) -> str:
@@ -65,7 +78,7 @@ class _Handler(BaseHTTPRequestHandler):
         self._guarded(self._page)
 
     def do_POST(self) -> None:
-        """A preview or a save."""
+        """A preview, or a save."""
         self._guarded(self._act)
 
     def log_message(self, format: str, *args: Any) -> None:  # noqa: A002 - the name is the library's
@@ -93,13 +106,15 @@ class _Handler(BaseHTTPRequestHandler):
         return rest
 
     def _page(self, route: str) -> tuple[str, bytes]:
-        if route:
+        if route not in self.server.pages:
             raise _RefusedError(HTTPStatus.NOT_FOUND)
-        return "text/html; charset=utf-8", self.server.session.page()
+        try:
+            return "text/html; charset=utf-8", self.server.pages[route]()
+        except FlexMapError as error:
+            return "text/plain; charset=utf-8", f"{error}\n".encode()
 
     def _act(self, route: str) -> tuple[str, bytes]:
-        acts = {"preview": self.server.session.preview, "save": self.server.session.save}
-        if route not in acts:
+        if route not in self.server.acts:
             raise _RefusedError(HTTPStatus.NOT_FOUND)
         if self.headers.get("Content-Type") != "application/json":
             raise _RefusedError(HTTPStatus.UNSUPPORTED_MEDIA_TYPE)
@@ -110,8 +125,9 @@ class _Handler(BaseHTTPRequestHandler):
             body = json.loads(self.rfile.read(int(length)))
         except (ValueError, RecursionError):
             raise _RefusedError(HTTPStatus.BAD_REQUEST) from None
-        sent = body.get("pairs") if isinstance(body, dict) else None
-        return "application/json", json.dumps(acts[route](sent)).encode()
+        if not isinstance(body, dict):
+            raise _RefusedError(HTTPStatus.BAD_REQUEST)
+        return "application/json", json.dumps(self.server.acts[route](body)).encode()
 
     def _reply(self, status: HTTPStatus, kind: str, content: bytes) -> None:
         self.send_response(status)

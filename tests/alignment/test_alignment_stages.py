@@ -15,9 +15,9 @@ from flexmap_tasks.alignment.project import project_utm
 from flexmap_tasks.alignment.rubber_sheet import rubber_sheet
 from flexmap_tasks.alignment.umeyama import umeyama
 from flexmap_tasks.config import (
-    ControlPointsParams,
     GeoPoint,
     GnssParams,
+    PairParams,
     ProjectionParams,
     RubberSheetParams,
     SlamParams,
@@ -154,7 +154,7 @@ def read(tmp_path: Path, text: str, **params: float):
     motion = umeyama(slam_track(track), gnss_track(track), HERE, UmeyamaParams(grid_scale=False))
     return control_points(
         Source("pairs.csv", path), slam_track(track), gnss_track(track), motion, HERE,
-        ControlPointsParams(**params),
+        PairParams(**params),
     )  # fmt: skip
 
 
@@ -224,7 +224,7 @@ def test_delimiters_comments_and_marks_are_understood(tmp_path: Path) -> None:
     ("text", "message"),
     [
         ("", "pairs.csv: is empty"),
-        (HEADER, "has no control points"),
+        (HEADER, "has 0 control points in use; .* at least 3"),
         (HEADER + "a,0,0,1,1,\nb,9,9,9,8,\n", "has 2 control points in use; .* at least 3"),
         (GOOD.replace("c,0,100,1,101,1", "c,50,0,51,1,"), "all 3 control points lie on one line"),
         (GOOD + "d,0,0,7,7,\n", r'line 5 \("d"\): has the same source as line 2 \("a"\)'),
@@ -259,7 +259,7 @@ def test_file_that_is_no_text(tmp_path: Path) -> None:
     with pytest.raises(AlignmentError, match="is not UTF-8 text"):
         control_points(
             Source("pairs.csv", path), slam_track(drive()), gnss_track(drive()),
-            umeyama(slam_track(drive()), gnss_track(drive()), HERE, UmeyamaParams()), HERE, ControlPointsParams(),
+            umeyama(slam_track(drive()), gnss_track(drive()), HERE, UmeyamaParams()), HERE, PairParams(),
         )  # fmt: skip
 
 
@@ -303,7 +303,7 @@ def test_garching_rubber_sheet(garching, grid_scale: bool) -> None:
     slam, projected, pairs = garching
     track, projection = projected.gnss_track, projected.projection
     motion = umeyama(slam, track, projection, UmeyamaParams(grid_scale=grid_scale))
-    points = control_points(pairs, slam, track, motion, projection, ControlPointsParams())
+    points = control_points(pairs, slam, track, motion, projection, PairParams())
     warp = rubber_sheet(points, motion, slam, None, None, RubberSheetParams())
     mean, std, rmse = deviation(align_track(slam, warp).xyz_m, track)
     assert mean <= 1.00

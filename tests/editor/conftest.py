@@ -12,8 +12,8 @@ import pytest
 
 from flexmap_tasks.config import FlexMapConfig
 from flexmap_tasks.store.store import Store
+from flows.editor.editors import edit_server
 from flows.editor.server import EditServer
-from flows.editor.session import EditSession
 
 
 @pytest.fixture
@@ -43,7 +43,7 @@ def serve(store: Store) -> Iterator[Callable[[FlexMapConfig], EditServer]]:
     servers: list[EditServer] = []
 
     def start(config: FlexMapConfig) -> EditServer:
-        server = EditServer(EditSession(config, store))
+        server = edit_server(config, store)
         threading.Thread(target=server.serve_forever, daemon=True).start()
         servers.append(server)
         return server

@@ -21,9 +21,9 @@ from flexmap_tasks.model.alignment import RigidMotion
 from flexmap_tasks.model.projection import Projection
 from flexmap_tasks.model.source import Source
 from flexmap_tasks.store.store import Store
+from flows.editor.editors import edit_server
 from flows.editor.pairs import control_points_of, csv_of
 from flows.editor.server import EditServer
-from flows.editor.session import EditSession
 
 PAIR = {"label": "a", "source": [1.0, 2.0], "target": [3.0, 4.0], "sigma": 0.1, "used": True}
 
@@ -113,8 +113,8 @@ def test_a_preview_says_what_points_do(server: EditServer, config: FlexMapConfig
 
 def test_a_configuration_without_a_file_to_save_to_is_refused(config: FlexMapConfig, store: Store) -> None:
     bare = config.model_dump() | {"alignment": {"method": "rigid"}}
-    with pytest.raises(ConfigError, match="control_points_file"):
-        EditSession(FlexMapConfig.model_validate(bare), store)
+    with pytest.raises(ConfigError, match=r"control_points_file.*review_file"):
+        edit_server(FlexMapConfig.model_validate(bare), store)
 
 
 @pytest.mark.parametrize(

@@ -12,12 +12,12 @@ from flexmap_tasks.alignment.rubber_sheet import rubber_sheet
 from flexmap_tasks.alignment.umeyama import umeyama
 from flexmap_tasks.config import (
     CollapseParams,
-    ControlPointsParams,
     EvaluationParams,
     GeoreferenceParams,
     GnssParams,
     MatchParams,
     OsmRoadsParams,
+    PairParams,
     ProjectionParams,
     RubberSheetParams,
     SlamParams,
@@ -85,9 +85,7 @@ def update(world: World, folder: Path) -> Run:
     before = ingest_lanelet_map(source("lanelet2_map.osm"))
     roads = ingest_osm_roads(source("osm_extract.osm"), OsmRoadsParams())
     motion = umeyama(slam, track, projection, UmeyamaParams())
-    points = control_points(
-        source("control_points.csv"), slam, track, motion, projection, ControlPointsParams()
-    )
+    points = control_points(source("control_points.csv"), slam, track, motion, projection, PairParams())
     warp = rubber_sheet(points, motion, slam, before, None, RubberSheetParams())
     moved = georeference_map(before, warp)
     placed = place_roads(roads, projection, track, None)

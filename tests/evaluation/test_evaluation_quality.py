@@ -16,9 +16,9 @@ from flexmap_tasks.alignment.project import project_utm
 from flexmap_tasks.alignment.rubber_sheet import rigid_warp, rubber_sheet
 from flexmap_tasks.alignment.umeyama import umeyama
 from flexmap_tasks.config import (
-    ControlPointsParams,
     EvaluationParams,
     GnssParams,
+    PairParams,
     ProjectionParams,
     RubberSheetParams,
     SlamParams,
@@ -207,7 +207,7 @@ def garching(shared_data: Path) -> tuple[Quality, Quality]:
     track = projected.gnss_track
     motion = umeyama(slam, track, projected.projection, UmeyamaParams(grid_scale=False))
     points = control_points(
-        source("control_points_peer.csv"), slam, track, motion, projected.projection, ControlPointsParams()
+        source("control_points_peer.csv"), slam, track, motion, projected.projection, PairParams()
     )
     sheet = rubber_sheet(points, motion, slam, None, None, RubberSheetParams())
     rest = (None, None, None, None, None, EvaluationParams())

@@ -170,14 +170,17 @@ async function saveDecisions() {
   if (!data.editor) {
     download("review_decisions.csv", decisionsCsv());
     kept = stateOfDecisions();
-    return showDecided();
+    showDecided();
+    return tell("Saved as review_decisions.csv: name it in the configuration as conflation.review_file.");
   }
   const sent = stateOfDecisions(), rows = [...decided.values()].map((d) => Object.fromEntries(COLUMNS.map((name) => [name, d[name]])));
   const told = await askServer("decide", { base: data.editor.base, decisions: rows });
   if (told.error) return tell(told.error, true);
-  if (stateOfDecisions() === sent) decided = new Map(told.decisions.map((d) => [ground(d), d]));
+  const saved = new Map(told.decisions.map((d) => [ground(d), { ...d, holds: decided.get(ground(d))?.holds }]));
+  // What was decided while the answer was on its way stays, and waits to be saved.
+  if (stateOfDecisions() === sent) decided = saved;
+  kept = JSON.stringify([...saved]);
   data.editor.base = told.base;
-  kept = sent === stateOfDecisions() ? sent : JSON.stringify(told.decisions.map((d) => [ground(d), d]));
   undone.length = redone.length = 0;
   showDecided();
   return tell(told.said, false, ["Show what they do", () => {
@@ -216,4 +219,4 @@ function decisionTable() {
   ], { open: (i) => select("lanelet", rows[i].lanelet_id, true) });
 }
 
-addEventListener("beforeunload", (event) => { if (unsaved() && !data.editor?.leaving) event.preventDefault(); });
+addEventListener("beforeunload", (event) => { if (unsaved()) event.preventDefault(); });

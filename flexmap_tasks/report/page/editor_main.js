@@ -140,8 +140,8 @@ function rowOf(pair, i) {
 }
 
 async function save() {
-  const sent = JSON.stringify(pairs), told = await ask("save", { pairs }).catch(() => ({ error: "the server does not answer" }));
-  if (!told.error) saved = sent;
+  const sent = JSON.stringify(pairs), told = await ask("save", { pairs, base: data.editor.base }).catch(() => ({ error: "the server does not answer" }));
+  if (!told.error) { saved = sent; data.editor.base = told.base; }
   verdict = told; // stands until the next change, whatever preview arrives after it
   show();
 }
