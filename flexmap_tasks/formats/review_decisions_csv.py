@@ -10,6 +10,7 @@ from __future__ import annotations
 import csv
 import io
 import math
+import re
 
 import numpy as np
 
@@ -27,8 +28,8 @@ HEADER = (
     "when",
 )  # fmt: skip
 DECISIONS = ("accept", "reject")
-FORMULA = "=+@-\t\r"
-"""First characters that make spreadsheets take text for a formula; an apostrophe before them prevents it."""
+FORMULA = re.compile(r"'*[=+@\t\r-]")
+"""What makes spreadsheets take text for a formula unless one more apostrophe stands before it."""
 Row = dict[str, str]
 
 
@@ -112,11 +113,11 @@ def _cell(value: object) -> str:
     if isinstance(value, float):
         return "" if math.isnan(value) else f"{value:.3f}"
     text = str(value)
-    return f"'{text}" if isinstance(value, str) and len(text) > 0 and text[0] in FORMULA else text
+    return f"'{text}" if isinstance(value, str) and FORMULA.match(text) else text
 
 
 def _plain(cell: str) -> str:
-    return cell[1:] if len(cell) > 1 and cell[0] == "'" and cell[1] in FORMULA else cell
+    return cell[1:] if cell.startswith("'") and FORMULA.match(cell) else cell
 
 
 def _rows(source: Source) -> list[Row]:

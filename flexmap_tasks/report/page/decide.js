@@ -199,7 +199,7 @@ async function askServer(what, body) {
 
 function decisionTable() {
   const rows = [...decided.values()], words_ = { accept: "accepted", reject: "rejected" };
-  const state_ = (d) => (d.when === "" ? "new" : d.holds === false ? "no longer holds" : "holds");
+  const state_ = (d) => (d.when === "" ? "new" : d.holds === undefined ? "saved" : d.holds ? "holds" : "gone");
   return new Table("decisions", rows.length, [
     { name: "kind", width: 96, get: (i) => KINDS[rows[i].kind] ?? rows[i].kind },
     { name: "lanelet", width: 84, get: (i) => rows[i].lanelet_id },
@@ -208,11 +208,11 @@ function decisionTable() {
     { name: "OSM said", width: 130, get: (i) => rows[i].new || (rows[i].kind === "match" ? rows[i].way_id : "") },
     { name: "decision", width: 90, get: (i) => words_[rows[i].decision] },
     { name: "instead", width: 110, get: (i) => rows[i].value },
-    { name: "state", width: 120, get: (i) => state_(rows[i]), show: (i) => badge(state_(rows[i]) === "holds" ? "ok" : state_(rows[i]) === "new" ? "new" : "gone") },
-    { name: "who", width: 90, get: (i) => rows[i].who },
-    { name: "when, UTC", width: 150, get: (i) => rows[i].when },
+    { name: "state", width: 120, get: (i) => words[state_(rows[i])], show: (i) => badge(state_(rows[i])) },
+    { name: "who", width: 80, get: (i) => rows[i].who },
+    { name: "when, UTC", width: 150, get: (i) => rows[i].when, show: (i) => rows[i].when.replace("T", " ").replace("Z", "") },
     { name: "note", get: (i) => rows[i].note },
-    { name: "take back", width: 84, get: () => "", show: (i) => el("button", { type: "button", class: "close", title: "Take the decision back", onclick: (event) => {
+    { name: "", width: 44, get: () => "", show: (i) => el("button", { type: "button", class: "close", title: "Take the decision back", onclick: (event) => {
       event.stopPropagation();
       changeDecisions(() => decided.delete(ground(rows[i])));
     } }, "×") },

@@ -5,7 +5,7 @@ const ROW_PX = 26;
 /** Text of a cell that no spreadsheet takes for a formula. */
 function csvCell(value) {
   let text = typeof value === "number" ? (Number.isNaN(value) ? "" : String(value)) : String(value ?? "");
-  if (typeof value !== "number" && /^[=+@\t\r]|^-(?![\d.]+$)/.test(text)) text = `'${text}`;
+  if (typeof value !== "number" && /^'*[=+@\t\r]|^'*-(?![\d.]+$)/.test(text)) text = `'${text}`;
   return /[",\r\n;]/.test(text) || text !== text.trim() ? `"${text.replaceAll('"', '""')}"` : text;
 }
 

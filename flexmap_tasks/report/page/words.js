@@ -39,7 +39,7 @@ function withUnit(value, unit) {
 const words = {
   set: "set", keep: "kept", review: "review", split: "cut", remove: "removed",
   match: "matched", none: "no match", agree: "agree", differ: "differ", unknown: "unknown", unmatched: "unmatched",
-  open: "open", accept: "accepted", reject: "rejected", new: "not saved", gone: "no longer holds", ok: "ok",
+  open: "open", accept: "accepted", reject: "rejected", new: "not saved", saved: "saved", holds: "holds", gone: "no longer holds", ok: "ok",
   error: "error", warning: "warning", info: "info",
 };
 
