@@ -14,9 +14,10 @@ from cyclopts import App
 from rich.console import Console
 
 from flexmap_tasks.errors import FlexMapError
+from flexmap_tasks.store.store import Store
 from flows import cli_fleet, commands
 from flows.editor import command as edit_command
-from flows.store_commands import STORE, Releases, Set, StoreUrl, add_store_commands
+from flows.store_commands import STORE, Grid, Releases, Set, StoreUrl, add_store_commands
 from flows.world_commands import add_world_commands
 
 app = App(name="flexmap", help=__doc__, version="0.1.0")
@@ -26,8 +27,9 @@ add_world_commands(app)
 
 @app.command
 def run(
-    config: Path, *, set_: Set = (), store: StoreUrl = STORE, releases: Releases = None, prefect: bool = True
-) -> None:
+    config: Path, *, set_: Set = (), grid: Grid = (), table: Path | None = None, best_by: str | None = None,
+    store: StoreUrl = STORE, releases: Releases = None, prefect: bool = True,
+) -> None:  # fmt: skip
     """Make a release: compute what changed, reuse everything else.
 
     Parameters
@@ -36,6 +38,12 @@ def run(
         YAML file of one map; see configs/defaults.yaml.
     set_
         Settings to override, as key.path=value; paths relative to the working directory.
+    grid
+        Settings to try, as key.path=value,value,...: one release per combination, none published, and a table.
+    table
+        File for that table: .md, .parquet or .csv; trials.md and trials.parquet beside the releases when empty.
+    best_by
+        Figure of quality.json that says which combination is best.
     store
         Folder of the artifact store, or s3://bucket/prefix.
     releases
@@ -43,7 +51,11 @@ def run(
     prefect
         Run as a Prefect flow; with --no-prefect in this process, without server and dashboard.
     """
-    commands.run(config, set_, store, releases, through_prefect=prefect)
+    if grid:
+        opened = Store.open(store, releases)
+        commands.run_grid(config, set_, grid, opened, table, best_by, through_prefect=prefect)
+    else:
+        commands.run(config, set_, store, releases, through_prefect=prefect)
 
 
 @app.command

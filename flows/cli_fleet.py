@@ -136,6 +136,33 @@ def show(
 
 
 @release_app.command
+def compare(
+    map_: str, *release: str, table: Path | None = None, best_by: str | None = None, store: StoreUrl = STORE,
+    releases: Releases = None,
+) -> None:  # fmt: skip
+    """Compare releases of a map: settings that differ, figures, and which is best.
+
+    Parameters
+    ----------
+    map_
+        Name of the map.
+    release
+        Their ids or the beginnings of them; all releases of the map when empty.
+    table
+        File for the table with every figure: .md, .parquet or .csv.
+    best_by
+        Figure of quality.json that says which is best.
+    store
+        Folder of the artifact store, or s3://bucket/prefix.
+    releases
+        Folder of the releases.
+    """
+    from flows import release_commands  # noqa: PLC0415
+
+    release_commands.compare(Store.open(store, releases), map_, release, table, best_by)
+
+
+@release_app.command
 def publish(map_: str, release: str, *, store: StoreUrl = STORE, releases: Releases = None) -> None:
     """Publish a release, whatever the gate said.
 

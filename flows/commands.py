@@ -10,6 +10,7 @@ from flexmap_tasks.config import FlexMapConfig
 from flexmap_tasks.engine.finished import still_finished
 from flexmap_tasks.engine.gate import read_verdict
 from flexmap_tasks.engine.release import Release
+from flexmap_tasks.errors import FlexMapError
 from flexmap_tasks.formats.config_file import dump_config, load_config
 from flexmap_tasks.store.artifact import seal
 from flexmap_tasks.store.store import Store
@@ -47,6 +48,32 @@ def run_config(config: FlexMapConfig, store: Store, *, through_prefect: bool) ->
     if stopped is not None:
         raise stopped
     return release
+
+
+def run_grid(
+    file: Path,
+    overrides: Iterable[str],
+    grid: Iterable[str],
+    store: Store,
+    table: Path | None,
+    best_by: str | None,
+    *,
+    through_prefect: bool,
+) -> None:
+    """A trial per combination of settings, and a table of what came out."""
+    from flows.comparison import write_comparison  # noqa: PLC0415 - see above
+    from flows.running import run_trials  # noqa: PLC0415
+    from flows.trials import parse_grid  # noqa: PLC0415
+
+    config = load_config(FlexMapConfig, file, overrides)
+    comparison = run_trials(config, parse_grid(grid), store, best_by, through_prefect=through_prefect)
+    console.show_comparison(comparison)
+    beside = store.releases / config.map / "trials"
+    for target in (table,) if table else (beside.with_suffix(".md"), beside.with_suffix(".parquet")):
+        write_comparison(comparison, target)
+        console.say(str(target))
+    if not any(row["release"] for row in comparison.facts):
+        raise FlexMapError(f"{config.map}: all {len(comparison.facts)} combinations failed")
 
 
 def plan(file: Path, overrides: Iterable[str], store: str) -> None:

@@ -22,6 +22,7 @@ if TYPE_CHECKING:  # a run that has nothing to do must not load the stages
     from flexmap_tasks.engine.graph import Node
     from flexmap_tasks.engine.plan import Plan
     from flexmap_tasks.engine.release import Release
+    from flows.comparison import Comparison
 
 _console = Console(highlight=False)
 HEADLINES = (
@@ -95,6 +96,18 @@ def show_summary(map_name: str, release: Release, seconds: float) -> None:
     say(f"{state} {release.id} of {map_name}, {seconds:.1f} s")
     finished = release.folder / "lanelet2_map.osm"
     say(str(finished if finished.exists() else release.folder))
+
+
+def show_comparison(comparison: Comparison) -> None:
+    """One line per figure and fact, one column per release: that fits a terminal."""
+    cells = comparison.cells()
+    table = Table(box=None, title=comparison.headline(), title_justify="left")
+    table.add_column("", no_wrap=True)
+    for i in range(len(cells)):
+        table.add_column(str(i + 1), justify="right", overflow="fold")
+    for name in cells[0]:
+        table.add_row(name, *(row[name].replace("[", r"\[") for row in cells))
+    _console.print(table)
 
 
 class StageProgress:

@@ -20,10 +20,13 @@ from flows.dashboard_report import decisions, report_markdown
 
 
 async def publish_to_dashboard(
-    config: FlexMapConfig, outcomes: Mapping[str, Outcome], release: Release, verdict: Verdict | None
+    config: FlexMapConfig, outcomes: Mapping[str, Outcome], release: Release, verdict: Verdict | None, *, trial: bool
 ) -> None:  # fmt: skip
-    """Tables of quality, stages and decisions, a report, links to what was made; the run is named after it."""
-    name, key = config.map, artifact_key(config.map)
+    """Tables of quality, stages and decisions, a report, links to what was made; the run is named after it.
+
+    A trial has keys of its own, so that the trend of a map shows only what might have been published.
+    """
+    name, key = config.map, artifact_key(config.map) + "-trial" * trial
     quality = json.loads((release.folder / "quality.json").read_text())["measures"]
     rows = decisions(release.folder)
     await acreate_table_artifact(
@@ -37,7 +40,7 @@ async def publish_to_dashboard(
     )
     await acreate_markdown_artifact(
         key=f"{key}-report",
-        markdown=report_markdown(config, outcomes, release, verdict, quality, rows),
+        markdown=report_markdown(config, outcomes, release, verdict, quality, rows, trial=trial),
         description=f"{name}, release {release.id}",
     )
     await acreate_link_artifact(

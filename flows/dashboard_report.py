@@ -68,10 +68,10 @@ def _decisions(folder: Path) -> Iterator[dict[str, Any]]:
 
 def report_markdown(
     config: FlexMapConfig, outcomes: Mapping[str, Outcome], release: Release, verdict: Verdict | None,
-    quality: Sequence[Mapping[str, Any]], rows: Sequence[Mapping[str, Any]],
+    quality: Sequence[Mapping[str, Any]], rows: Sequence[Mapping[str, Any]], *, trial: bool = False,
 ) -> str:  # fmt: skip
     """One page: what came out, what the gate said, what a person should look at."""
-    state = verdict.state if verdict else "published"
+    state = "a trial" if trial else verdict.state if verdict else "published"
     computed = [o for o in outcomes.values() if not o.cached]
     lines = [
         f"# {config.map}: {release.id} is {state}",

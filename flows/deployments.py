@@ -24,6 +24,7 @@ from flexmap_tasks.fleet_config import FleetConfig, WorkPool
 from flows.fleet_jobs import Job, find_jobs, load_fleet
 from flows.fleet_pool import HEARTBEAT_S
 from flows.fleet_update import fleet_update
+from flows.map_trials import map_trials
 from flows.map_update import map_update
 
 RECORDINGS_ARRIVED = "flexmap.recordings.arrived"
@@ -37,7 +38,9 @@ async def deploy_fleet(file: Path) -> list[str]:
         raise ConfigError(file.name, "a fleet that is deployed needs a work pool", "work_pool")
     async with get_client() as client:
         await _make_pool(client, fleet.work_pool)
-        names = [await _deploy_map(fleet, fleet.work_pool, job) for job in _one_per_map(fleet)]
+        jobs = _one_per_map(fleet)
+        names = [await _deploy_map(fleet, fleet.work_pool, job) for job in jobs]
+        names += [await _deploy_trials(fleet, fleet.work_pool, job) for job in jobs]
         names.append(await _deploy_update(fleet, fleet.work_pool, file))
         for automation in await _automations(client, fleet, names[-1]):
             await _replace(client, automation)
@@ -73,15 +76,9 @@ async def _make_pool(client: PrefectClient, pool: WorkPool) -> None:
 
 async def _deploy_map(fleet: FleetConfig, pool: WorkPool, job: Job) -> str:
     """The deployment of one map: its settings are the form on the dashboard, filled in as the file has them."""
-    parameters: dict[str, Any] = {
-        "store": fleet.store,
-        "releases": str(fleet.releases) if fleet.releases else None,
-    }
-    if job.config is not None:
-        parameters["config"] = job.config.model_dump(mode="json", exclude_unset=True)
     deployment: RunnerDeployment = await map_update.ato_deployment(
         name=job.entry.name,
-        parameters=parameters,
+        parameters=_parameters(fleet, job),
         tags=_tags(fleet, job.entry.name),
         description=f"One recording becomes one release of the map {job.entry.name}.",
         work_pool_name=pool.name,
@@ -90,6 +87,27 @@ async def _deploy_map(fleet: FleetConfig, pool: WorkPool, job: Job) -> str:
     )
     await deployment.aapply()
     return f"map_update/{job.entry.name}"
+
+
+async def _deploy_trials(fleet: FleetConfig, pool: WorkPool, job: Job) -> str:
+    """The same map with other settings beside each other; started by a person, who fills in what to try."""
+    deployment: RunnerDeployment = await map_trials.ato_deployment(
+        name=job.entry.name,
+        parameters=_parameters(fleet, job),
+        tags=_tags(fleet, job.entry.name),
+        description=f"Compares releases of {job.entry.name} made with other settings; publishes none.",
+        work_pool_name=pool.name,
+        job_variables=_job_variables(pool),
+        entrypoint_type=EntrypointType.MODULE_PATH,
+    )
+    await deployment.aapply()
+    return f"map_trials/{job.entry.name}"
+
+
+def _parameters(fleet: FleetConfig, job: Job) -> dict[str, Any]:
+    releases = str(fleet.releases) if fleet.releases else None
+    config = job.config.model_dump(mode="json", exclude_unset=True) if job.config is not None else None
+    return {"store": fleet.store, "releases": releases, **({"config": config} if config else {})}
 
 
 async def _deploy_update(fleet: FleetConfig, pool: WorkPool, file: Path) -> str:

@@ -14,7 +14,7 @@ from typing import Any
 from rich.table import Table
 
 from flexmap_tasks.engine.gate import published_release, read_quality, read_verdict
-from flexmap_tasks.engine.runs import read_runs
+from flexmap_tasks.engine.runs import last_run
 from flexmap_tasks.errors import FlexMapError
 from flexmap_tasks.fleet_config import FleetConfig
 from flexmap_tasks.store.store import Store
@@ -107,7 +107,7 @@ def status(file: Path, *, as_json: bool) -> None:
 def status_row(store: Store, job: Job) -> dict[str, Any]:
     """One map's standing; changes nothing."""
     published = published_release(store, job.map)
-    last = next(read_runs(store, job.map), None)
+    last = last_run(store, job.map)
     verdict = read_verdict(store, job.map, last.release) if last is not None and last.release else None
     quality = (read_quality(store, job.map, published) if published else None) or {}
     try:

@@ -12,7 +12,7 @@ from flexmap_tasks.engine.finished import still_finished, watch
 from flexmap_tasks.engine.gate import read_verdict
 from flexmap_tasks.engine.local import heal, run_local
 from flexmap_tasks.engine.plan import Plan, make_plan
-from flexmap_tasks.engine.runs import read_last_run, read_runs
+from flexmap_tasks.engine.runs import last_run, read_last_run
 from flexmap_tasks.errors import FlexMapError
 from flexmap_tasks.fleet_config import FleetConfig
 from flexmap_tasks.pipeline import map_update
@@ -135,7 +135,7 @@ def settled(store: Store, job: Job, release_id: str) -> Row:
 
 def finished_row(store: Store, job: Job, since: datetime, run: str = "") -> Row | None:
     """The row of a run that came to its end; None when none did."""
-    last = next(read_runs(store, job.map), None)
+    last = last_run(store, job.map)
     if last is None or last.release is None:
         return None
     verdict = read_verdict(store, job.map, last.release)

@@ -39,24 +39,27 @@ MAX_STAGES_AT_ONCE = 4
     task_runner=ThreadPoolTaskRunner(max_workers=MAX_STAGES_AT_ONCE),  # type: ignore[arg-type]
 )
 async def map_update(
-    config: FlexMapConfig, store: str = "artifacts", releases: str | None = None
+    config: FlexMapConfig, store: str = "artifacts", releases: str | None = None, trial: bool = False
 ) -> State[Any]:
     """Georeference and enrich one map; publishes a release.
 
     config : everything the update needs, see configs/defaults.yaml
     store : folder of the artifact store, or s3://bucket/prefix
     releases : folder of the releases; below the store when empty
+    trial : only make the release, whatever its quality; nothing is published
     """
     opened = Store.open(store, Path(releases) if releases else None)
     graph = map_update_graph(config)
     watched = watch(graph)
     try:
-        outcomes, release = await _run(opened, graph, config, watched)
+        outcomes, release = await _run(opened, graph, config, watched, trial)
     except FlexMapError as error:
         remember_failure(opened, config, watched, error)
         return Failed(message=str(error), data=error)  # a fault of the input is one line, not a traceback
-    verdict = read_verdict(opened, config.map, release.id)
-    await publish_to_dashboard(config, outcomes, release, verdict)
+    verdict = None if trial else read_verdict(opened, config.map, release.id)
+    await publish_to_dashboard(config, outcomes, release, verdict, trial=trial)
+    if trial:
+        return Completed(message=f"release {release.id} is a trial; {savings(outcomes)}", data=release)
     stopped = not_published(verdict)
     if isinstance(stopped, RejectedError):
         return Failed(name="Rejected", message=str(stopped), data=stopped)
@@ -66,13 +69,13 @@ async def map_update(
 
 
 async def _run(
-    store: Store, graph: Graph, config: FlexMapConfig, watched: Watched
+    store: Store, graph: Graph, config: FlexMapConfig, watched: Watched, trial: bool
 ) -> tuple[dict[str, Outcome], Release]:
     """All stages and the release; begins again where a damaged blob was met, which is gone from the store by then."""
     for attempt in range(REPAIRS + 1):
         try:
             outcomes = await _run_stages(store, graph, config.map)
-            return outcomes, finish_run(store, graph, outcomes, config, watched)
+            return outcomes, finish_run(store, graph, outcomes, config, watched, trial=trial)
         except CorruptBlobError:
             if attempt == REPAIRS:
                 raise

@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from datetime import UTC, datetime
 from pathlib import Path
 
 from rich.table import Table
 
 from flexmap_tasks.engine import gate
+from flexmap_tasks.engine.compare import differing_settings
 from flexmap_tasks.engine.release import Release
+from flexmap_tasks.engine.released import find_release
 from flexmap_tasks.errors import InputError
 from flexmap_tasks.store.store import Store
 from flows import console
+from flows.comparison import compared, write_comparison
 
 
 def list_releases(store: Store, map_name: str) -> None:
@@ -51,6 +55,27 @@ def show(store: Store, map_name: str, release_id: str | None) -> None:
             table.add_row(measure, _value(row), _value(theirs.get(measure)), row["unit"])
     console.show(table)
     console.say(str(store.releases / map_name / name))
+
+
+def compare(
+    store: Store, map_name: str, wanted: Sequence[str], table: Path | None, best_by: str | None
+) -> None:
+    """Releases beside each other."""
+    names = [find(store, map_name, name) for name in wanted] or _known(store, map_name)
+    if len(names) < 2:
+        raise InputError(map_name, f"has {len(names)} releases to compare; two are needed")
+    found = [find_release(store, f"{map_name}/{name}").manifest for name in names]
+    settings = differing_settings(found)
+    published = gate.published_release(store, map_name)
+    facts = []
+    for i, name in enumerate(names):
+        verdict = gate.read_verdict(store, map_name, name)
+        state = "latest" if name == published else verdict.state if verdict else "trial"
+        facts.append({"release": name, "state": state, **{key: row[i] for key, row in settings.items()}})
+    comparison = compared(store, map_name, facts, best_by)
+    console.show_comparison(comparison)
+    if table is not None:
+        write_comparison(comparison, table)
 
 
 def publish(store: Store, map_name: str, release_id: str) -> None:

@@ -14,6 +14,7 @@ from flows import console
 StoreUrl = Annotated[str, Parameter(name="--store", env_var="FLEXMAP_STORE")]
 Releases = Annotated[Path | None, Parameter(name="--releases", env_var="FLEXMAP_RELEASES")]
 Set = Annotated[tuple[str, ...], Parameter(name="--set", consume_multiple=True, negative="")]
+Grid = Annotated[tuple[str, ...], Parameter(name="--grid", consume_multiple=True, negative="")]
 STORE = "artifacts"
 
 # What a command needs is imported by that command: `flexmap run` must not wait for what others load.

@@ -87,7 +87,7 @@ def differences(old: Mapping[str, Any], new: Mapping[str, Any], node: Node | Non
     """What differs between two preimages, one phrase each."""
     found: list[str] = []
     for part in ("inputs", "params", "code", "libraries"):
-        before, now = _flat(old.get(part, {})), _flat(new.get(part, {}))
+        before, now = flat(old.get(part, {})), flat(new.get(part, {}))
         changed = (n for n in sorted(before.keys() | now.keys()) if before.get(n) != now.get(n))
         found.extend(_phrase(part, n, before.get(n), now.get(n), node) for n in changed)
     return found
@@ -106,10 +106,11 @@ def _show(value: Any) -> str:
     return "unset" if value is None else str(value)
 
 
-def _flat(value: Any, prefix: str = "") -> dict[str, Any]:
+def flat(value: Any, prefix: str = "") -> dict[str, Any]:
+    """Nested settings by their paths."""
     if not isinstance(value, Mapping):
         return {prefix: value}
     out: dict[str, Any] = {}
     for key, item in value.items():
-        out |= _flat(item, f"{prefix}.{key}" if prefix else str(key))
+        out |= flat(item, f"{prefix}.{key}" if prefix else str(key))
     return out

@@ -22,6 +22,7 @@ class Run:
 
     finished : RFC 3339, UTC; actions : action key by stage; release : id of what it made
     sources : files from outside by stage and input, as path, sha256 and size; path : where the store keeps it
+    trial : one of several with other settings beside each other, never meant to be published by itself
     """
 
     map: str
@@ -30,6 +31,7 @@ class Run:
     release: str | None
     sources: Mapping[str, Mapping[str, Any]]
     path: str
+    trial: bool = False
 
 
 def read_runs(store: Store, map_name: str | None = None) -> Iterator[Run]:
@@ -42,9 +44,14 @@ def read_runs(store: Store, map_name: str | None = None) -> Iterator[Run]:
             yield run
 
 
+def last_run(store: Store, map_name: str) -> Run | None:
+    """The map's last finished run, trials left out."""
+    return next((run for run in read_runs(store, map_name) if not run.trial), None)
+
+
 def read_last_run(store: Store, map_name: str) -> dict[str, str]:
     """Action key per stage of the map's last finished run; empty when there is none."""
-    last = next(read_runs(store, map_name), None)
+    last = last_run(store, map_name)
     return dict(last.actions) if last else {}
 
 
@@ -54,18 +61,26 @@ def write_last_run(
     actions: Mapping[str, str],
     release: str | None = None,
     sources: Mapping[str, Mapping[str, Any]] | None = None,
+    *,
+    trial: bool = False,
 ) -> None:
     """Remember a finished run, unless the last one was the same."""
     told = {"actions": dict(actions), "release": release, "sources": dict(sources or {})}
     last = next(read_runs(store, map_name), None)
-    if last is not None and told == {
-        "actions": last.actions,
-        "release": last.release,
-        "sources": last.sources,
-    }:
+    if (
+        last is not None
+        and last.trial == trial
+        and told
+        == {
+            "actions": last.actions,
+            "release": last.release,
+            "sources": last.sources,
+        }
+    ):
         return
     now = datetime.now(UTC)
     body = {"format": FORMAT, "map": map_name, "finished": now.isoformat(), **told}
+    body |= {"trial": True} if trial else {}
     label = f"{now:%Y%m%dT%H%M%S.%fZ}-{digest_of(canonical_json(body))[:8]}"
     store.backend.put(f"{RUNS}/{map_name}/{label}.json", seal(body), replace=True)
 
@@ -86,4 +101,5 @@ def _parse(content: bytes | None, path: str) -> Run | None:
     body = unseal(content)
     if body is None or body.get("format") != FORMAT:
         return None
-    return Run(body["map"], body["finished"], body["actions"], body["release"], body["sources"], path)
+    trial = bool(body.get("trial", False))
+    return Run(body["map"], body["finished"], body["actions"], body["release"], body["sources"], path, trial)

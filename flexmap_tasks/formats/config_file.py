@@ -45,21 +45,41 @@ def load_config(kind: type[P], file: Path, overrides: Iterable[str] = ()) -> P:
 
     Overriding paths are relative to the working directory. Raises ConfigError.
     """
-    data = _read(file)
-    data = _resolve_paths(kind, data, file.parent.resolve())
+    data = _resolve_paths(kind, _read(file), file.parent.resolve())
+    _override(kind, data, overrides)
+    return _validated(kind, data, file.name)
+
+
+def change_config(config: P, overrides: Iterable[str]) -> P:
+    """The same settings with some overridden, as `load_config` does. Raises ConfigError."""
+    data = config.model_dump(mode="json", exclude_unset=True)
+    _override(type(config), data, overrides)
+    return _validated(type(config), data, "--set")
+
+
+def parse_values(text: str, source: str) -> list[Any]:
+    """Values between commas, each as YAML. Raises ConfigError."""
+    values: list[Any] = _parse(f"[{text}]", source)
+    return values
+
+
+def _override(kind: type[BaseModel], data: dict[str, Any], overrides: Iterable[str]) -> None:
     for override in overrides:
         key, equals, text = override.partition("=")
         if not equals or not key:
             raise ConfigError("--set", f"expected key.path=value, got {override!r}")
         value = _parse(text, f"--set {key}")
         _put(data, key.split("."), _resolve_paths_at(kind, key.split("."), value), override)
+
+
+def _validated(kind: type[P], data: dict[str, Any], source: str) -> P:
     try:
         return kind.model_validate(data)
     except ValidationError as error:
         first = error.errors(include_url=False)[0]
         where = ".".join(str(part) for part in first["loc"]) or "top level"
         more = f" (and {error.error_count() - 1} more)" if error.error_count() > 1 else ""
-        raise ConfigError(file.name, f"{_readable(first)}{more}", where) from None
+        raise ConfigError(source, f"{_readable(first)}{more}", where) from None
 
 
 def dump_config(config: BaseModel) -> str:

@@ -89,6 +89,23 @@ def test_parameters_are_a_form_filled_in(first: Any, server: Server) -> None:
     assert schedules[0]["schedule"]["cron"] == "0 2 * * *"
 
 
+def test_trials_are_started_from_the_dashboard_and_compared_there(first: Any, server: Server) -> None:
+    deployment = server.get("/deployments/name/map_trials/town00")
+    asked = {**deployment["parameters"], "grid": {"conflation.match.method": ["path", "buffer_growing"]}}
+    run = server.ask(
+        f"/deployments/{deployment['id']}/create_flow_run", state={"type": "SCHEDULED"}, parameters=asked
+    )
+    ended = server.wait(run["id"], 200)
+    assert ended["state_type"] == "COMPLETED", ended["state"]["message"]
+    rows = json.loads(server.artifact("town00-trials")["data"])
+    assert [row["conflation.match.method"] for row in rows] == ["path", "buffer_growing"]
+    published = next(row["release"] for row in first[0] if row["map"] == "town00")
+    assert [row["gate"] for row in rows] == ["is published", "would publish"]
+    assert rows[0]["release"] == published
+    assert rows[0]["stages_run"] == "0"
+    assert published in server.artifact("town00-report")["data"], "the trend of the map is not touched"
+
+
 def test_the_schedule_makes_runs(first: Any, server: Server) -> None:
     deadline, found = time.monotonic() + 120, []
     while not found and time.monotonic() < deadline:
