@@ -21,6 +21,9 @@ PROJECT = Path(__file__).resolve().parents[1]
 
 # What loads the stages is imported where it is needed: a run that finds nothing to do takes no longer than it must.
 
+DEMO_FAULTS = ("osm.wrong_share=0.12", "hd_map.fragment_share=0.2")
+"""What the demo's two maps get wrong, so that something is left for a person to decide."""
+
 
 def run(
     file: Path, overrides: Iterable[str], store: str, releases: Path | None = None, *, through_prefect: bool
@@ -100,15 +103,31 @@ def demo(store: str, *, through_prefect: bool) -> None:
     """Simulate the small town once, then make its map."""
     folder = Path("artifacts" if "://" in store else store) / "demo"
     _write_demo_town(folder)
+    _write_empty_decisions(folder)
     inputs = {
         "gnss.file": "recording.mcap",
         "slam.file": "recording.mcap",
         "lanelet_map.file": "lanelet2_map.osm",
         "point_cloud.file": "pointcloud_map.pcd",
         "osm.file": "osm_extract.osm",
+        "alignment.control_points_file": "control_points.csv",
+        "conflation.review_file": "review_decisions.csv",
     }
     overrides = [f"{key}={folder / name}" for key, name in inputs.items()]
     run(PROJECT / "configs" / "demo.yaml", overrides, store, through_prefect=through_prefect)
+
+
+def _write_empty_decisions(folder: Path) -> None:
+    """The two files that the editor saves to, unless a person has saved something already."""
+    from flexmap_tasks.formats import control_points_csv, review_decisions_csv  # noqa: PLC0415 - see above
+
+    headers = {
+        "control_points.csv": control_points_csv.WRITTEN,
+        "review_decisions.csv": review_decisions_csv.HEADER,
+    }
+    for name, header in headers.items():
+        if not (folder / name).exists():
+            (folder / name).write_text(",".join(header) + "\n")
 
 
 def _write_demo_town(folder: Path) -> None:
@@ -117,7 +136,7 @@ def _write_demo_town(folder: Path) -> None:
     from flexmap_tasks.simulate.world import World  # noqa: PLC0415
     from flexmap_tasks.simulate.write import write_world  # noqa: PLC0415
 
-    world = load_config(World, PROJECT / "configs" / "worlds" / "small_town.yaml")
+    world = load_config(World, PROJECT / "configs" / "worlds" / "small_town.yaml", DEMO_FAULTS)
     made_by = code_fingerprint("flexmap_tasks.simulate.write")
     label = seal({"world": world.model_dump(mode="json"), "code": made_by})
     mark = folder / "made_by.json"

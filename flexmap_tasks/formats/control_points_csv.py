@@ -27,6 +27,11 @@ from dataclasses import dataclass
 from flexmap_tasks.errors import AlignmentError, InputError
 from flexmap_tasks.model.source import Source
 
+WRITTEN = (
+    "name", "source_x_m", "source_y_m", "target_lat_deg", "target_lon_deg", "sigma_m", "use", "note",
+)  # fmt: skip
+"""The columns that the editor writes."""
+
 MAX_BYTES = 16 << 20
 """A list of control points larger than this is some other file."""
 

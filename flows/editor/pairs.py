@@ -10,6 +10,7 @@ from typing import Any, TypeGuard
 import numpy as np
 
 from flexmap_tasks.errors import InputError
+from flexmap_tasks.formats.control_points_csv import WRITTEN
 from flexmap_tasks.model.alignment import ControlPoints, RigidMotion
 from flexmap_tasks.model.arrays import strings
 from flexmap_tasks.model.projection import Projection
@@ -18,9 +19,6 @@ MOST_PAIRS = 2000
 LONGEST_NAME = 200
 FARTHEST_M = 1e7
 LARGEST_SIGMA_M = 100.0
-HEADER = (
-    "name", "source_x_m", "source_y_m", "target_lat_deg", "target_lon_deg", "sigma_m", "use", "note",
-)  # fmt: skip
 
 
 def control_points_of(sent: Any) -> ControlPoints:
@@ -46,7 +44,7 @@ def csv_of(points: ControlPoints, motion: RigidMotion, projection: Projection, n
     lonlat = projection.to_lonlat_deg(points.target_xy_m)
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(HEADER)
+    writer.writerow(WRITTEN)
     for i, name in enumerate(points.label.tolist()):
         (x, y), (lon, lat) = source[i].tolist(), lonlat[i].tolist()
         use = "yes" if points.used[i] else "no"

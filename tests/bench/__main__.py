@@ -11,7 +11,7 @@ from importlib import import_module
 
 from tests.bench.measure import DATA, console
 
-SUBJECTS = ("garching", "nothing_changed", "fleet", "warp")
+SUBJECTS = ("garching", "nothing_changed", "fleet", "warp", "browser")
 
 
 def main(wanted: list[str]) -> int:
