@@ -6,14 +6,17 @@ from collections.abc import Mapping
 from typing import Any
 
 from flexmap_tasks.alignment.align_track import align_track
+from flexmap_tasks.alignment.automatic_points import automatic_control_points
 from flexmap_tasks.alignment.cloud_extent import cloud_extent
 from flexmap_tasks.alignment.control_points import control_points
 from flexmap_tasks.alignment.heldout import heldout
+from flexmap_tasks.alignment.judge_points import judge_points
 from flexmap_tasks.alignment.pose_graph import antenna_track, pose_graph, pose_graph_warp
 from flexmap_tasks.alignment.project import project_utm
 from flexmap_tasks.alignment.rubber_sheet import rigid_warp, rubber_sheet
 from flexmap_tasks.alignment.umeyama import umeyama
 from flexmap_tasks.config import (
+    AutomaticControlPointsParams,
     FlexMapConfig,
     GnssParams,
     GraphHeldOutParams,
@@ -124,17 +127,8 @@ def _align(
     if alignment.method != "pose_graph" or alignment.control_points_file is not None:
         motion = graph.run(umeyama, alignment.umeyama, slam=slam, gnss=gnss, projection=projection)
         graph.publish("alignment.json", motion)
-    if alignment.method != "rigid" and alignment.control_points_file is not None:
-        points = graph.run(
-            control_points,
-            PairParams(**alignment.control_points.model_dump(), sheet=alignment.method == "rubber_sheet"),
-            source=SourceRef(alignment.control_points_file),
-            slam=slam,
-            gnss=gnss,
-            motion=motion,
-            projection=projection,
-        )
-        graph.publish("control_points.parquet", points)
+    if alignment.method != "rigid":
+        points = _control_points(graph, config, Drive(projection, gnss, slam), motion)
     if alignment.method == "pose_graph":
         adjusted = _adjust(graph, config, Drive(projection, gnss, slam), points, motion)
         warp = graph.run(pose_graph_warp, alignment.pose_graph, graph=adjusted.graph)
@@ -151,12 +145,43 @@ def _align(
         )
     else:
         warp = graph.run(rigid_warp, motion=motion)
+    if points is not None:
+        nodes = adjusted.graph.field("nodes") if adjusted else None
+        points = graph.run(judge_points, points=points, motion=motion, warp=warp, nodes=nodes)
+        graph.publish("control_points.parquet", points)
     graph.publish("projection.json", projection)
     graph.publish("gnss_track.parquet", gnss)
     graph.publish("slam_track_before.parquet", slam)
     aligned_track = graph.run(align_track, slam=slam, warp=warp)
     graph.publish("slam_track_after.parquet", aligned_track)
     return Aligned(projection, gnss, slam, points, warp, aligned_track, adjusted)
+
+
+def _control_points(graph: Graph, config: FlexMapConfig, drive: Drive, motion: Ref | None) -> Ref | None:
+    """The user's control points over those the rubber sheet chooses by itself; None where there are neither."""
+    alignment, file = config.alignment, config.alignment.control_points_file
+    chosen = alignment.control_points.automatic
+    automatic = None
+    if alignment.method == "rubber_sheet" and (chosen or file is None):
+        automatic = graph.run(
+            automatic_control_points,
+            chosen or AutomaticControlPointsParams(),
+            slam=drive.slam,
+            gnss=drive.gnss_track,
+            motion=motion,
+        )
+    if file is None:
+        return automatic
+    return graph.run(
+        control_points,
+        PairParams(**alignment.control_points.model_dump(), sheet=alignment.method == "rubber_sheet"),
+        source=SourceRef(file),
+        slam=drive.slam,
+        gnss=drive.gnss_track,
+        motion=motion,
+        projection=drive.projection,
+        automatic=automatic,
+    )
 
 
 def _adjust(

@@ -31,6 +31,8 @@ HEADLINES = (
     "deviation_after_all_rmse",
     "deviation_after_valid_rmse",
     "lane_width_change_max",
+    "control_point_residual_rmse",
+    "control_point_leave_one_out_max",
     "match_rate",
     "match_rate_by_length",
     "transfers_set",

@@ -4,10 +4,16 @@ from __future__ import annotations
 
 import numpy as np
 
+from flexmap_tasks.alignment.automatic_points import with_automatic
 from flexmap_tasks.config import PairParams
 from flexmap_tasks.engine.stage import stage
 from flexmap_tasks.errors import AlignmentError
-from flexmap_tasks.formats.control_points_csv import ControlPointLine, Place, read_control_points
+from flexmap_tasks.formats.control_points_csv import (
+    ControlPointLine,
+    Place,
+    incomplete,
+    read_control_points,
+)
 from flexmap_tasks.model.alignment import ControlPoints, RigidMotion
 from flexmap_tasks.model.arrays import Floats, strings
 from flexmap_tasks.model.projection import Projection
@@ -39,49 +45,72 @@ def control_points(
     motion: RigidMotion,
     projection: Projection,
     params: PairParams,
+    automatic: ControlPoints | None = None,
 ) -> ControlPoints:
     """The pairs of the user's file, both sides in the map frame, the source after the rigid start.
+
+    automatic : points under those of the file: a line with the name of one stands in its place and takes from it
+    what it does not give; one that is then nearer than the spacing to a pair of the user's, or would stretch the
+    sheet too much with them, is left out
 
     Raises AlignmentError, with line and name, for the same place used twice, a row that a track does not have,
     and pairs too far apart to belong together; for a rubber sheet also for fewer than three pairs in use, and for
     pairs on one line.
     """
     lines = read_control_points(source)
-    sources = np.array(
-        [
-            _settle(
-                source, x, x.source, [_source_xy(source, x, p, slam, motion, projection) for p in x.source]
-            )
-            for x in lines
-        ]
-    ).reshape(-1, 2)
-    targets = np.array(
-        [
-            _settle(source, x, x.target, [_target_xy(source, x, p, gnss, projection) for p in x.target])
-            for x in lines
-        ]
-    ).reshape(-1, 2)
+    known = {} if automatic is None else {name: k for k, name in enumerate(automatic.label.tolist())}
+    sources, targets, sigma = [], [], []
+    for line in lines:
+        base = known.get(line.name)
+        ways = [_source_xy(source, line, place, slam, motion, projection) for place in line.source]
+        sources.append(_side(source, line, "source", ways, automatic, base))
+        ways = [_target_xy(source, line, place, gnss, projection) for place in line.target]
+        targets.append(_side(source, line, "target", ways, automatic, base))
+        inherited = params.sigma_m if automatic is None or base is None else automatic.sigma_m[base]
+        sigma.append(inherited if line.sigma_m is None else line.sigma_m)
     used = np.array([line.use for line in lines], dtype=bool)
     points = ControlPoints(
         label=strings(line.name for line in lines),
-        source_xy_m=sources,
-        target_xy_m=targets,
-        sigma_m=np.array(
-            [params.sigma_m if line.sigma_m is None else line.sigma_m for line in lines], dtype=np.float64
-        ),
+        source_xy_m=np.array(sources).reshape(-1, 2),
+        target_xy_m=np.array(targets).reshape(-1, 2),
+        sigma_m=np.array(sigma, dtype=np.float64),
         used=used,
-        reason=strings("given by the user" if line.use else "excluded by the user" for line in lines),
+        reason=strings(_reason(line, line.name in known) for line in lines),
     )
     kept = [line for line in lines if line.use]
-    if params.sheet:
-        _check_count(source, len(kept))
     if kept:
         _check_distances(source, kept, points, params.max_rigid_distance_m)
         _check_doubled(source, kept, points.source_xy_m[used], "source")
         _check_doubled(source, kept, points.target_xy_m[used], "target")
+    if automatic is not None:
+        points = with_automatic(points, automatic, motion.apply_xy(slam.xyz_m[:, :2]), params.automatic)
     if params.sheet:
-        _check_collinear(source, points.source_xy_m[used])
+        _check_count(source, int(points.used.sum()))
+        _check_collinear(source, points.source_xy_m[points.used])
     return points
+
+
+def _reason(line: ControlPointLine, over_automatic: bool) -> str:
+    if not line.use:
+        return "excluded by the user"
+    return "given by the user in place of an automatic point" if over_automatic else "given by the user"
+
+
+def _side(
+    source: Source,
+    line: ControlPointLine,
+    side: str,
+    ways: list[Floats],
+    automatic: ControlPoints | None,
+    base: int | None,
+) -> Floats:
+    """Where a side of a pair is: as the line says, or as the automatic point of its name."""
+    if ways:
+        return _settle(source, line, getattr(line, side), ways)
+    if automatic is None or base is None:
+        raise incomplete(source, line.where, side)
+    xy: Floats = getattr(automatic, f"{side}_xy_m")[base]
+    return xy
 
 
 def _settle(source: Source, line: ControlPointLine, places: tuple[Place, ...], xy_m: list[Floats]) -> Floats:

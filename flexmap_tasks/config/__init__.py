@@ -6,6 +6,7 @@ errors. `configs/defaults.yaml` is written from these models and checked against
 
 from flexmap_tasks.config.alignment import (
     AlignmentParams,
+    AutomaticControlPointsParams,
     ControlPointsParams,
     GeoPoint,
     GraphHeldOutParams,
@@ -66,6 +67,7 @@ __all__ = [
     "HIGHWAY_SUBTYPES",
     "ZONE_SPEEDS_KMH",
     "AlignmentParams",
+    "AutomaticControlPointsParams",
     "CollapseParams",
     "ConflationParams",
     "ControlPointsParams",

@@ -36,13 +36,35 @@ class UmeyamaParams(Params):
     )
 
 
+class AutomaticControlPointsParams(Params):
+    """Control points of the rubber sheet, chosen from the tracks."""
+
+    count: Annotated[int, Field(ge=3, le=1000)] = Field(20, description="at most so many")
+    spacing_m: Positive = Field(50.0, description="none is nearer than this to another")
+    sigma_m: Positive = Field(
+        0.1, description="a pair with this standard deviation counts 0.7 of a perfect one"
+    )
+    max_stretch: Annotated[float, Field(gt=0, lt=1)] = Field(
+        0.1,
+        description="a point is left out where it would stretch or squeeze the sheet by more than this share",
+    )
+    clock_offset_max_s: NonNegative = Field(
+        2.0, description="how far the clocks of GNSS and SLAM may be apart"
+    )
+
+
 class ControlPointsParams(Params):
-    """Control points of the rubber sheet."""
+    """Control points given by the user."""
 
     max_rigid_distance_m: Positive = Field(
         200.0, description="a pair further apart than this after the rigid start does not belong together"
     )
     sigma_m: Positive = Field(0.1, description="standard deviation of a pair whose line gives none")
+    automatic: AutomaticControlPointsParams | None = Field(
+        None,
+        description="points that the rubber sheet chooses from the tracks, under those of the file; left empty, it "
+        "does so where there is no file",
+    )
 
 
 class PairParams(ControlPointsParams):

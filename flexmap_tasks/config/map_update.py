@@ -28,7 +28,10 @@ class FlexMapConfig(Params):
     gate: GateParams = GateParams()
 
     @model_validator(mode="after")
-    def _needs_control_points(self) -> FlexMapConfig:
-        if self.alignment.method == "rubber_sheet" and self.alignment.control_points_file is None:
-            raise ValueError("alignment.method rubber_sheet needs alignment.control_points_file")
+    def _automatic_points_are_for_the_sheet(self) -> FlexMapConfig:
+        if self.alignment.method != "rubber_sheet" and self.alignment.control_points.automatic is not None:
+            raise ValueError(
+                "alignment.control_points.automatic is for alignment.method rubber_sheet; "
+                f"{self.alignment.method} needs none"
+            )
         return self

@@ -13,7 +13,7 @@ from flexmap_tasks.evaluation.graph_quality import graph_measures
 from flexmap_tasks.evaluation.harm_geometry import shape_change
 from flexmap_tasks.evaluation.summary import measures_of, statistics
 from flexmap_tasks.geometry.sheet import affine_maps
-from flexmap_tasks.model.alignment import ControlPoints, RigidMotion, Warp
+from flexmap_tasks.model.alignment import JudgedPoints, Warp
 from flexmap_tasks.model.arrays import Floats
 from flexmap_tasks.model.conflation import LaneCheck, References, Transfers
 from flexmap_tasks.model.maps import Findings, LaneletMap
@@ -35,7 +35,7 @@ def evaluate(
     slam: Trajectory,
     gnss: GnssTrack,
     warp: Warp,
-    control_points: ControlPoints | None,
+    control_points: JudgedPoints | None,
     references: References | None,
     transfers: Transfers | None,
     lane_check: LaneCheck | None,
@@ -61,8 +61,8 @@ def evaluate(
     measures = [*_deviations(slam, gnss, warp, after_m, params), *_alignment(warp)]
     if graph_figures is not None and graph_nodes is not None and gnss_use is not None:
         measures += graph_measures(graph_figures, graph_nodes, gnss_use, held_out, params)
-    if control_points is not None and (warp.sheet is not None or graph_figures is None):
-        measures += _residuals(control_points, warp)
+    if control_points is not None:
+        measures += _residuals(control_points)
     if recorded_map is not None and moved_map is not None:
         measures += _shape(recorded_map, moved_map, params)
     if references is not None:
@@ -114,17 +114,18 @@ def _alignment(warp: Warp) -> Iterator[Measure]:
     yield Measure("sheet_stretch_max", float(stretch.max()), "1")
 
 
-def _residuals(points: ControlPoints, warp: Warp) -> Iterator[Measure]:
-    """How far the rigid start leaves the control points in use from their targets, and what the warp leaves."""
-    used = points.take(points.used)
-    still = RigidMotion(np.eye(2), np.zeros(2), 1.0, 1.0, 0.0)
-    source_m = np.column_stack([used.source_xy_m, np.zeros(len(used))])
-    moved = Warp(still, warp.sheet).apply(source_m)[:, :2] if len(used) else used.source_xy_m
-    yield _count("control_points", points.used)
-    for name, place in (("control_point_shift", used.source_xy_m), ("control_point_residual", moved)):
-        figures = statistics(np.hypot(*(used.target_xy_m - place).T))
-        yield Measure(f"{name}_mean", figures["mean"], "m")
-        yield Measure(f"{name}_max", figures["max"], "m")
+def _residuals(points: JudgedPoints) -> Iterator[Measure]:
+    """How far the rigid start leaves the control points in use, the warp, and a warp that was not told of them."""
+    used = points.used
+    shift = np.hypot(*(points.target_xy_m - points.source_xy_m).T)
+    yield _count("control_points", used)
+    columns = (
+        ("shift", shift), ("residual", points.residual_m), ("leave_one_out", points.leave_one_out_m),
+    )  # fmt: skip
+    for name, column in columns:
+        figures = statistics(column[used])
+        for figure in ("mean", "rmse", "max"):
+            yield Measure(f"control_point_{name}_{figure}", figures[figure], "m")
 
 
 def _shape(recorded: LaneletMap, moved: LaneletMap, params: EvaluationParams) -> Iterator[Measure]:

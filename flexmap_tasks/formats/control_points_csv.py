@@ -12,7 +12,8 @@ target (on the GNSS side)  `target_lat_deg, target_lon_deg`  WGS84
                            `target_x_m, target_y_m`          in the map frame
                            `target_row`                      row of the GNSS recording, from 0
 
-and beside them `name`, `sigma_m` (one standard deviation), `use` (yes or no) and `note` (not read). The
+and beside them `name`, `sigma_m` (one standard deviation), `use` (yes or no) and `note` (not read). A line whose
+name is that of an automatic point may leave out what it does not change, both sides included. The
 columns of the original's own lists are understood under their names (`gnss_x`, `slam_raw_x`, ...).
 Lines that begin with # and blank lines are skipped; the delimiter is a comma, semicolon or tab.
 """
@@ -75,7 +76,7 @@ class Place:
 
 @dataclass(frozen=True, slots=True)
 class ControlPointLine:
-    """One pair as the file gives it: each side in every way it is given; `sigma_m` is None where there is none."""
+    """One pair as the file gives it: each side in every way it is given, if any; `sigma_m` is None without one."""
 
     line: int
     name: str
@@ -144,7 +145,8 @@ def _columns(source: Source, line: int, header: list[str]) -> list[str]:
     if doubled:
         raise AlignmentError(source.name, f"column {min(doubled)} appears twice", f"line {line}")
     for side, groups in (("source", _SOURCES), ("target", _TARGETS)):
-        if not any(set(group) <= set(columns) for group in groups):
+        by_name = "name" in columns and not any(name.startswith(f"{side}_") for name in columns)
+        if not by_name and not any(set(group) <= set(columns) for group in groups):
             ways = ", or ".join(" and ".join(group) for group in groups)
             raise AlignmentError(
                 source.name, f"no column says where the {side} is; add {ways}", f"line {line}"
@@ -172,10 +174,15 @@ def _point(source: Source, line: int, columns: list[str], cells: list[str]) -> C
     places = []
     for side, groups in (("source", _SOURCES), ("target", _TARGETS)):
         given = [g for g in groups if set(g) <= numbers.keys()]
-        if not given:
-            raise AlignmentError(source.name, f"gives no complete {side}; fill one of its columns", where)
+        if not given and any(key.startswith(f"{side}_") for key in numbers):
+            raise incomplete(source, where, side)
         places.append(tuple(Place(g[0], tuple(numbers[key] for key in g)) for g in given))
     return ControlPointLine(line, name, places[0], places[1], sigma, use)
+
+
+def incomplete(source: Source, where: str, side: str) -> AlignmentError:
+    """A line that does not say where one of its sides is."""
+    return AlignmentError(source.name, f"gives no complete {side}; fill one of its columns", where)
 
 
 def _number(source: Source, where: str, key: str, text: str) -> float:

@@ -129,6 +129,18 @@ class ControlPoints:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class JudgedPoints(ControlPoints):
+    """Control points and how they are met, those in use first, the worst of them at the top.
+
+    residual_m : (n,) float64, distance from the target that the warp leaves
+    leave_one_out_m : (n,) float64, the same for an alignment without that point; NaN where nothing else tells
+    """
+
+    residual_m: Floats
+    leave_one_out_m: Floats
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class RubberSheet:
     """A triangulated plane with one affine map per triangle; one shift for all the rest of the plane.
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import ClassVar
 
-from flexmap_tasks.model.alignment import ControlPoints, Warp
+from flexmap_tasks.model.alignment import JudgedPoints, Warp
 from flexmap_tasks.model.conflation import LaneCheck, Matches, Transfers
 from flexmap_tasks.model.maps import Findings, LaneletMap, RoadNetwork
 from flexmap_tasks.model.projection import Projection
@@ -27,7 +27,7 @@ class Shown:
     gnss: GnssTrack
     slam: Trajectory
     warp: Warp
-    control_points: ControlPoints | None
+    control_points: JudgedPoints | None
     source_map: LaneletMap | None
     final_map: LaneletMap | None
     map_warp: Warp | None

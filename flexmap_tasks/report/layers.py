@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from flexmap_tasks.geometry.lanelets import gather
 from flexmap_tasks.geometry.polyline import arc_length_m
 from flexmap_tasks.model import lanelets as lanes
-from flexmap_tasks.model.alignment import ControlPoints, Warp
+from flexmap_tasks.model.alignment import JudgedPoints, Warp
 from flexmap_tasks.model.arrays import Floats, Ints, Strings, strings
 from flexmap_tasks.model.conflation import LaneCheck, Transfers
 from flexmap_tasks.model.layers import VectorLayer
@@ -78,7 +78,7 @@ def track_layers(gnss: GnssTrack, slam: Trajectory, warp: Warp, projection: Proj
     ]
 
 
-def point_layer(points: ControlPoints, projection: Projection) -> VectorLayer:
+def point_layer(points: JudgedPoints, projection: Projection) -> VectorLayer:
     """Control points as lines from where the rigid start leaves them to where they belong."""
     ends = np.stack([points.source_xy_m, points.target_xy_m], axis=1)
     columns: dict[str, NDArray[Any]] = {
@@ -86,6 +86,8 @@ def point_layer(points: ControlPoints, projection: Projection) -> VectorLayer:
         "used": points.used,
         "shift_m": np.hypot(*(points.target_xy_m - points.source_xy_m).T),
         "sigma_m": points.sigma_m,
+        "residual_m": points.residual_m,
+        "leave_one_out_m": points.leave_one_out_m,
         "reason": points.reason,
     }
     lonlat = projection.to_lonlat_deg(ends.reshape(-1, 2)).reshape(-1, 2, 2)

@@ -7,6 +7,7 @@ from pathlib import Path
 
 from flexmap_tasks.alignment.align_track import align_track
 from flexmap_tasks.alignment.control_points import control_points
+from flexmap_tasks.alignment.judge_points import judge_points
 from flexmap_tasks.alignment.project import project_utm
 from flexmap_tasks.alignment.rubber_sheet import rubber_sheet
 from flexmap_tasks.alignment.umeyama import umeyama
@@ -95,7 +96,7 @@ def update(world: World, folder: Path) -> Run:
     written = folder / "finished.osm"
     written.write_bytes(georeference(enriched.map, projection, GeoreferenceParams())["lanelet2_map.osm"])
     quality = evaluate(
-        slam, track, warp, points, matched.references, enriched.transfers, enriched.lane_check, before.findings,
+        slam, track, warp, judge_points(points, motion, warp, None), matched.references, enriched.transfers, enriched.lane_check, before.findings,
         enriched.findings, EvaluationParams(),
     )  # fmt: skip
     return Run(

@@ -12,6 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from flexmap_tasks.alignment.control_points import control_points
+from flexmap_tasks.alignment.judge_points import judge_points
 from flexmap_tasks.alignment.project import project_utm
 from flexmap_tasks.alignment.rubber_sheet import rigid_warp, rubber_sheet
 from flexmap_tasks.alignment.umeyama import umeyama
@@ -190,7 +191,7 @@ def test_control_points_before_and_after_the_warp() -> None:
         strings(["a", "b"]), np.array([[0.0, 0], [5, 5]]), np.array([[3.0, 4], [99, 99]]), np.ones(2),
         np.array([True, False]), strings(["", ""]),
     )  # fmt: skip
-    quality = table(control_points=points)
+    quality = table(control_points=judge_points(points, STILL.motion, STILL, None))
     assert quality.value("control_points") == 1
     assert quality.value("control_point_shift_max") == quality.value("control_point_residual_mean") == 5
 
@@ -211,7 +212,8 @@ def garching(shared_data: Path) -> tuple[Quality, Quality]:
     )
     sheet = rubber_sheet(points, motion, slam, None, None, RubberSheetParams())
     rest = (None, None, None, None, None, EvaluationParams())
-    return evaluate(slam, track, rigid_warp(motion), None, *rest), evaluate(slam, track, sheet, points, *rest)
+    judged = judge_points(points, motion, sheet, None)
+    return evaluate(slam, track, rigid_warp(motion), None, *rest), evaluate(slam, track, sheet, judged, *rest)
 
 
 def test_garching_rigid_start_as_the_original_measures_it(garching: tuple[Quality, Quality]) -> None:

@@ -32,7 +32,7 @@ from flows.finish import finish_run
 PROJECT = Path(__file__).resolve().parents[2]
 CONFIG = PROJECT / "configs" / "garching.yaml"
 FROM_CONTROL_POINTS_DOWN = {
-    "control_points", "rubber_sheet", "align_track", "georeference_map", "collapse", "match", "transfer",
+    "control_points", "rubber_sheet", "judge_points", "align_track", "georeference_map", "collapse", "match", "transfer",
     "georeference", "evaluate", "report", "export_layers", "check_bundle", "find_gaps",
 }  # fmt: skip
 
