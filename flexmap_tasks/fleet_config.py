@@ -13,9 +13,13 @@ from flexmap_tasks.config import Name, NonNegative, OsmInput, Params, Positive
 class Recordings(Params):
     """Where the recordings of a map arrive."""
 
-    folder: Path
+    folder: Path | None = Field(None, description="of this machine, or mounted alike on all")
+    bucket: Annotated[str, StringConstraints(pattern=r"^s3://[^/]+")] | None = Field(
+        None,
+        description="s3://bucket/prefix in place of a folder; server and credentials from the environment",
+    )
     pattern: Annotated[str, StringConstraints(min_length=1, pattern=r"^[^/]")] = Field(
-        "*.mcap", description="glob below the folder; `*/recording.mcap` and `**/*.mcap` work too"
+        "*.mcap", description="glob below it; `*/recording.mcap` and `**/*.mcap` work too"
     )
     take: Literal["newest", "all"] = Field(
         "newest",
@@ -28,6 +32,12 @@ class Recordings(Params):
     inputs: tuple[Literal["gnss.file", "slam.file", "point_cloud.file"], ...] = Field(
         ("gnss.file", "slam.file"), min_length=1, description="settings that a recording stands for"
     )
+
+    @model_validator(mode="after")
+    def _one_place(self) -> Recordings:
+        if (self.folder is None) == (self.bucket is None):
+            raise ValueError("give either `folder` or `bucket`")
+        return self
 
 
 class FleetMap(Params):

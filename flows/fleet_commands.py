@@ -180,8 +180,11 @@ def arrived(fleet: FleetConfig) -> dict[str, frozenset[tuple[str, int]]]:
     """Complete recordings by map, each with its time: a file that is written anew is a new one."""
     found = {}
     for entry in fleet.maps:
-        if entry.recordings is not None and entry.recordings.folder.is_dir():
-            files, _ = find_recordings(entry.recordings, time.time())
+        if entry.recordings is not None:
+            try:
+                files, _ = find_recordings(entry.recordings, time.time())
+            except FlexMapError:  # said by the update; a folder or server may come back
+                continue
             found[entry.name] = frozenset((file.path, file.written_ns) for file in files)
     return found
 

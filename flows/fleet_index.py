@@ -19,7 +19,7 @@ from typing import Any
 from flexmap_tasks.engine.finished import Watched, code_files
 from flexmap_tasks.engine.libraries import library_versions
 from flexmap_tasks.engine.sources import RACY_NS, Look, is_old, look
-from flexmap_tasks.errors import InputError
+from flexmap_tasks.errors import FlexMapError
 from flexmap_tasks.fleet_config import FleetConfig, FleetMap
 from flexmap_tasks.store.artifact import canonical_json, digest_of, seal, unseal
 from flexmap_tasks.store.store import Store
@@ -92,7 +92,7 @@ class Index:
         if entry.recordings is not None:
             try:
                 arrived, moving = find_recordings(entry.recordings, time.time())
-            except InputError:
+            except FlexMapError:
                 return None, 0
             if moving:
                 return None, 0

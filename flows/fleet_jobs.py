@@ -10,7 +10,7 @@ from pathlib import Path, PurePosixPath
 from typing import Any
 
 from flexmap_tasks.config import FlexMapConfig
-from flexmap_tasks.errors import FlexMapError, InputError
+from flexmap_tasks.errors import FlexMapError
 from flexmap_tasks.fleet_config import FleetConfig, FleetMap
 from flexmap_tasks.formats.config_file import load_config
 from flexmap_tasks.store.store import Store
@@ -60,7 +60,7 @@ def jobs_of(fleet: FleetConfig, entry: FleetMap, now_s: float) -> Iterator[Job]:
         return
     try:
         settled, moving = find_recordings(entry.recordings, now_s)
-    except InputError as error:
+    except FlexMapError as error:
         yield Job(entry.name, entry, fault=str(error))
         return
     if not settled:

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import fnmatch
 import glob
 import os
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from flexmap_tasks.engine.sources import Look, look
+from flexmap_tasks.engine.sources import Look, look, stamp_of
 from flexmap_tasks.errors import InputError
 from flexmap_tasks.fleet_config import Recordings
 
@@ -16,8 +18,9 @@ from flexmap_tasks.fleet_config import Recordings
 class Recording:
     """One file of a drive.
 
-    path : where it lies; name : path below the folder it arrived in
-    stamp : size, times and inode; written_ns : time of the last write, since 1970
+    path : where it lies, s3://bucket/key in a bucket; name : path below the folder or prefix it arrived in
+    stamp : size, times and inode (in a bucket what stands for its ETag)
+    written_ns : time of the last write, since 1970
     """
 
     path: str
@@ -32,8 +35,15 @@ class Recording:
 
 
 def find_recordings(recordings: Recordings, now_s: float) -> tuple[list[Recording], int]:
-    """Recordings that are complete, the newest last, and how many are still on their way. Raises InputError."""
-    found = _in_folder(recordings.folder, recordings.pattern)
+    """Recordings that are complete, the newest last, and how many are still on their way.
+
+    Raises InputError for a folder that cannot be searched, StoreError for a bucket that cannot be asked.
+    """
+    if recordings.bucket is not None:
+        found = _in_bucket(recordings.bucket, recordings.pattern)
+    else:
+        assert recordings.folder is not None  # noqa: S101 - the model gives one of the two
+        found = _in_folder(recordings.folder, recordings.pattern)
     settled_ns = (now_s - recordings.settle_s) * 1e9
     settled = [recording for recording in found if recording.written_ns <= settled_ns]
     if recordings.order == "time":
@@ -54,3 +64,30 @@ def _in_folder(folder: Path, pattern: str) -> list[Recording]:
         if stamp and os.path.isfile(path):  # noqa: PTH113 - asked of every file: a Path costs more than the answer
             found.append(Recording(path, name, stamp, stamp[1]))
     return found
+
+
+def _in_bucket(url: str, pattern: str) -> list[Recording]:
+    """Objects below a prefix: they are there whole or not at all."""
+    from flexmap_tasks.store.bucket import list_files  # noqa: PLC0415 - folders need no client
+
+    below, wanted = f"{url.rstrip('/')}/", pattern.split("/")
+    names = ((file.url.removeprefix(below), file) for file in list_files(url))
+    return [
+        Recording(file.url, name, list(stamp_of(file)), file.modified_s * 1_000_000_000)
+        for name, file in names
+        if _fits(name.split("/"), wanted)
+    ]
+
+
+def _fits(name: Sequence[str], pattern: Sequence[str]) -> bool:
+    """As `glob` sees it: `*` stays in its folder, `**` goes through any number, a leading dot hides."""
+    if not name or not pattern:
+        return not name and not pattern
+    if pattern[0] == "**":
+        hidden = next((i for i, part in enumerate(name) if part.startswith(".")), len(name) - 1)
+        return any(_fits(name[i:], pattern[1:] or ["*"]) for i in range(hidden + 1))
+    return (
+        not name[0].startswith(".")
+        and fnmatch.fnmatchcase(name[0], pattern[0])
+        and _fits(name[1:], pattern[1:])
+    )

@@ -53,7 +53,7 @@ async def _try(trial: Trial, store: str, releases: str | None) -> Tried:
     started = datetime.now(UTC)
     run: Any = map_update(trial.config, store, releases, trial=True, return_state=True)
     state = await run
-    result = state.result(raise_on_failure=False)
+    result = await state.aresult(raise_on_failure=False)
     if isinstance(result, FlexMapError):
         return Tried(trial, started, "", str(result).replace("\n", " "))
     if isinstance(result, BaseException):

@@ -16,7 +16,7 @@ from typing import Any
 from flexmap_tasks.engine.fingerprint import learn_code
 from flexmap_tasks.engine.graph import Input, Node, SourceRef
 from flexmap_tasks.engine.keys import action_key, arguments, input_types, preimage
-from flexmap_tasks.engine.sources import Stamp, file_stamp, source_artifact
+from flexmap_tasks.engine.sources import Stamp, file_stamp, local_path, source_artifact
 from flexmap_tasks.errors import InputError, StoreError
 from flexmap_tasks.formats.artifacts import decode, encode
 from flexmap_tasks.model.arrays import strings
@@ -114,7 +114,8 @@ class Engine:
     def load(self, bound: Bound, kind: Any) -> Any:
         """The value of an input; the same object when it is asked for again."""
         if bound.source is not None:
-            return Source(bound.name, bound.source.path)
+            ((_, blob),) = bound.artifact.files
+            return Source(bound.name, local_path(bound.source.path, blob.sha256))
         if bound.keys is not None:
             keys_of = next((a for a in typing.get_args(kind) if a is not type(None)), kind)
             return keys_of(strings(bound.keys))

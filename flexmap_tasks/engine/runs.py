@@ -8,7 +8,7 @@ from datetime import UTC, datetime
 from typing import Any
 
 from flexmap_tasks.engine.graph import Graph, SourceRef
-from flexmap_tasks.engine.sources import source_artifact
+from flexmap_tasks.engine.sources import shown_path, source_artifact
 from flexmap_tasks.store.artifact import canonical_json, digest_of, seal, unseal
 from flexmap_tasks.store.store import Store
 
@@ -92,7 +92,7 @@ def sources_of(store: Store, graph: Graph) -> dict[str, dict[str, Any]]:
         for name, ref in node.inputs.items():
             if isinstance(ref, SourceRef):
                 ((_, blob),) = source_artifact(store, ref.path).files
-                path = str(ref.path.absolute())
+                path = shown_path(ref.path)
                 found[f"{node.name}.{name}"] = {"path": path, "sha256": blob.sha256, "size": blob.size}
     return found
 

@@ -14,6 +14,7 @@ from pydantic import BaseModel, ValidationError
 
 from flexmap_tasks.config import Params
 from flexmap_tasks.errors import ConfigError
+from flexmap_tasks.model.source import BUCKET
 
 P = TypeVar("P", bound=Params)
 
@@ -188,7 +189,12 @@ def _resolve_paths(kind: type[BaseModel], data: dict[str, Any], base: Path) -> d
 
 
 def _absolute(path: str, base: Path) -> str:
-    """A path from the folder it is relative to. Asked of every file of a fleet: only what needs it is looked up."""
+    """A path from the folder it is relative to; one in a bucket as it is.
+
+    Asked of every file of a fleet: only what needs it is looked up.
+    """
+    if path.startswith(BUCKET):
+        return path
     whole = os.path.join(base, os.path.expanduser(path))  # noqa: PTH111, PTH118 - see above
     return os.path.realpath(whole) if ".." in path else os.path.normpath(whole)
 

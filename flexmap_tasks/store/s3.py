@@ -11,6 +11,7 @@ import os
 from collections.abc import Iterator
 from datetime import timedelta
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import obstore
 from obstore.exceptions import AlreadyExistsError, BaseError, NotFoundError
@@ -19,6 +20,9 @@ from obstore.store import S3Store
 from flexmap_tasks.errors import StoreError
 from flexmap_tasks.store.artifact import digest_of
 from flexmap_tasks.store.backend import Entry, FolderBackend
+
+if TYPE_CHECKING:
+    from obstore.store import ClientConfig, RetryConfig
 
 AT_ONCE = 16
 PARTS_OVER_BYTES = 64 * 1024 * 1024
@@ -52,19 +56,8 @@ class S3Backend:
         bucket, _, prefix = url.removeprefix("s3://").strip("/").partition("/")
         if not bucket:
             raise StoreError(f"artifact store {url}: expected s3://bucket/prefix")
+        remote = open_bucket(bucket, prefix or None, f"artifact store {url}")
         endpoint = os.environ.get("AWS_ENDPOINT_URL", "")
-        try:
-            remote = S3Store(
-                bucket,
-                prefix=prefix or None,
-                client_options={
-                    "allow_http": endpoint.startswith("http://"),
-                    "timeout": timedelta(minutes=5),
-                },
-                retry_config={"max_retries": RETRIES, "retry_timeout": RETRY_FOR},
-            )
-        except FAULTS as error:
-            raise _explain(error, url) from error
         return cls(remote, url, FolderBackend(cache_folder() / digest_of(f"{endpoint} {url}".encode())[:16]))
 
     def get(self, key: str) -> bytes | None:
@@ -91,7 +84,7 @@ class S3Backend:
         except (AlreadyExistsError, FileExistsError):
             return
         except FAULTS as error:
-            raise _explain(error, self.url) from error
+            raise explain(error, f"artifact store {self.url}") from error
 
     def size(self, key: str) -> int | None:
         """See Backend."""
@@ -100,7 +93,7 @@ class S3Backend:
         except ABSENT:
             return None
         except FAULTS as error:
-            raise _explain(error, self.url) from error
+            raise explain(error, f"artifact store {self.url}") from error
 
     def delete(self, key: str) -> None:
         """See Backend."""
@@ -111,7 +104,7 @@ class S3Backend:
         except ABSENT:
             return
         except FAULTS as error:
-            raise _explain(error, self.url) from error
+            raise explain(error, f"artifact store {self.url}") from error
 
     def modified(self, key: str) -> float | None:
         """See Backend."""
@@ -120,7 +113,7 @@ class S3Backend:
         except ABSENT:
             return None
         except FAULTS as error:
-            raise _explain(error, self.url) from error
+            raise explain(error, f"artifact store {self.url}") from error
 
     def renew(self, key: str) -> None:
         """See Backend. A server tells the age of what was written, and writing again would cost a transfer."""
@@ -132,7 +125,7 @@ class S3Backend:
                 for found in page:
                     yield Entry(str(found["path"]), int(found["size"]), found["last_modified"].timestamp())
         except FAULTS as error:
-            raise _explain(error, self.url) from error
+            raise explain(error, f"artifact store {self.url}") from error
 
     def local(self, key: str) -> Path:
         """See Backend. The path lies in the cache."""
@@ -151,7 +144,7 @@ class S3Backend:
         except ABSENT:
             return None
         except FAULTS as error:
-            raise _explain(error, self.url) from error
+            raise explain(error, f"artifact store {self.url}") from error
 
 
 def cache_folder() -> Path:
@@ -170,7 +163,21 @@ def _holds(content: bytes, key: str) -> bool:
     return digest_of(content) == key.removeprefix("objects/").replace("/", "")
 
 
-def _explain(error: Exception, url: str) -> StoreError:
+def open_bucket(bucket: str, prefix: str | None, name: str) -> S3Store:
+    """A bucket, or what of it lies below a prefix; `name` is what errors call it."""
+    client: ClientConfig = {
+        "allow_http": os.environ.get("AWS_ENDPOINT_URL", "").startswith("http://"),
+        "timeout": timedelta(minutes=5),
+    }
+    retries: RetryConfig = {"max_retries": RETRIES, "retry_timeout": RETRY_FOR}
+    try:
+        return S3Store(bucket, prefix=prefix, client_options=client, retry_config=retries)
+    except FAULTS as error:
+        raise explain(error, name) from error
+
+
+def explain(error: Exception, name: str) -> StoreError:
+    """One clear line about a fault of a server; `name` is what was to be used."""
     if any(word in f"{type(error).__name__} {error}" for word in REFUSALS):
         what = (
             "the server refuses; check AWS_ACCESS_KEY_ID, AWS_SECRET_ACCESS_KEY and the rights on the bucket"
@@ -180,4 +187,4 @@ def _explain(error: Exception, url: str) -> StoreError:
     else:
         first = next((line.strip() for line in str(error).splitlines() if line.strip()), type(error).__name__)
         what = f"cannot be used ({first[:300]}); nothing that was stored is lost, run again"
-    return StoreError(f"artifact store {url}: {what}")
+    return StoreError(f"{name}: {what}")
