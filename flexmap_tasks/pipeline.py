@@ -17,12 +17,14 @@ from flexmap_tasks.alignment.rubber_sheet import rigid_warp, rubber_sheet
 from flexmap_tasks.alignment.umeyama import umeyama
 from flexmap_tasks.config import (
     AutomaticControlPointsParams,
+    CloudCheckParams,
     FlexMapConfig,
     GnssParams,
     GraphHeldOutParams,
     OsmInput,
     OsmRoadsParams,
     PairParams,
+    PcdParams,
     PointCloudParams,
     ReportParams,
     ScanParams,
@@ -32,7 +34,14 @@ from flexmap_tasks.config import (
 from flexmap_tasks.engine.graph import Graph, Ref, SourceRef
 from flexmap_tasks.evaluation.quality import evaluate
 from flexmap_tasks.georeferencing.bundle import georeference
-from flexmap_tasks.georeferencing.cloud import merge_tile, pointcloud_metadata, tile_extent, warp_tile
+from flexmap_tasks.georeferencing.cloud import (
+    check_cloud,
+    merge_tile,
+    pointcloud_metadata,
+    tile_extent,
+    warp_tile,
+)
+from flexmap_tasks.georeferencing.frame import cloud_frame, projector_file
 from flexmap_tasks.georeferencing.map import georeference_map
 from flexmap_tasks.ingest.gnss import ingest_gnss
 from flexmap_tasks.ingest.lanelet_map import ingest_lanelet_map
@@ -83,12 +92,13 @@ def map_update(config: FlexMapConfig) -> Graph:
         graph.publish(".", bundle)
         graph.publish("map_findings.parquet", lanelets.field("findings"))
     if tiles is not None:
-        cloud = _georeference_cloud(graph, config, tiles, aligned.warp if moves_map else None)
+        cloud = _georeference_cloud(graph, config, tiles, aligned, bundle)
     quality = _evaluate(
         graph, config, aligned, lanelets, conflated, {"recorded_map": recorded, "moved_map": moved}
     )
     checked = _check_bundle(graph, bundle, cloud) if bundle else None
-    _report(graph, config, Drawn(recorded, lanelets, roads, aligned, conflated, quality, checked))
+    noticed = cloud.findings if cloud else None
+    _report(graph, config, Drawn(recorded, lanelets, roads, aligned, conflated, quality, checked, noticed))
     return graph
 
 
@@ -217,20 +227,46 @@ def _adjust(
     return Adjusted(adjusted, antenna, withheld)
 
 
-def _georeference_cloud(graph: Graph, config: FlexMapConfig, tiles: Ref, warp: Ref | None) -> Cloud:
+def _georeference_cloud(
+    graph: Graph, config: FlexMapConfig, tiles: Ref, aligned: Aligned, bundle: Ref | None
+) -> Cloud:
     assert config.point_cloud is not None  # noqa: S101 - there are tiles
-    params = only(PointCloudParams, config.point_cloud)
+    params, moved = only(PointCloudParams, config.point_cloud), config.alignment.master == "gnss"
 
     def touched(key: str, values: Mapping[str, Any]) -> Mapping[str, Any]:
         """The part of the warp that moves one tile."""
         return {"warp": values["warp"].restrict(tile_extent(key, params))} if "warp" in values else {}
 
-    warped = graph.run_each(warp_tile, "tile", params, tile=tiles.field("tiles"), warp=warp, narrow=touched)
-    merged = graph.run_each(merge_tile, "parts", parts=warped.transpose())
+    frame = None
+    if moved and config.georeference.projector == "MGRS":
+        frame = graph.run(cloud_frame, config.georeference, projection=aligned.projection, bundle=bundle)
+    warped = graph.run_each(
+        warp_tile,
+        "tile",
+        params,
+        tile=tiles.field("tiles"),
+        warp=aligned.warp if moved else None,
+        frame=frame,
+        narrow=touched,
+    )
+    merged = graph.run_each(
+        merge_tile, "parts", only(PcdParams, config.point_cloud), parts=warped.transpose()
+    )
     graph.publish("pointcloud_map/", merged)
     metadata = graph.run(pointcloud_metadata, params, tiles=merged.keys())
     graph.publish(".", metadata)
-    return Cloud(metadata, merged.keys())
+    if bundle is None and moved:
+        graph.publish(".", graph.run(projector_file, config.georeference, projection=aligned.projection))
+    found = graph.run(
+        check_cloud,
+        only(CloudCheckParams, config.point_cloud),
+        found=tiles.field("findings"),
+        index=tiles.field("index"),
+        slam=aligned.slam,
+        tiles=merged.keys(),
+    )
+    graph.publish("cloud_findings.parquet", found)
+    return Cloud(metadata, merged.keys(), found)
 
 
 def _check_bundle(graph: Graph, bundle: Ref, cloud: Cloud | None) -> Ref:
@@ -296,6 +332,7 @@ def _report(graph: Graph, config: FlexMapConfig, drawn: Drawn) -> None:
         "map_findings": lanelets.field("findings") if lanelets else None,
         "transfer_findings": enriched.field("findings") if enriched else None,
         "bundle_findings": drawn.bundle_findings,
+        "cloud_findings": drawn.cloud_findings,
     }
     params = only(ReportParams, config)
     adjusted = aligned.adjusted

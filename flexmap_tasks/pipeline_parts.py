@@ -59,10 +59,11 @@ class Conflated:
 
 @dataclass(frozen=True, slots=True)
 class Cloud:
-    """The list of the map's tiles as Autoware reads it, and the tiles that are there."""
+    """The list of the map's tiles as Autoware reads it, the tiles that are there, and what is odd about them."""
 
     metadata: Ref
     keys: Ref
+    findings: Ref
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,3 +80,4 @@ class Drawn:
     conflated: Conflated | None
     quality: Ref
     bundle_findings: Ref | None
+    cloud_findings: Ref | None

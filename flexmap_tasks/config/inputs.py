@@ -87,6 +87,21 @@ class PointCloudParams(Params):
         return self
 
 
+class PcdParams(Params):
+    """How the map's tiles are written."""
+
+    coordinates: Literal["float32", "float64"] = Field(
+        "float32",
+        description="Autoware and PCL read only float32: within 0.5 mm up to 16 km from the origin",
+    )
+
+
+class CloudCheckParams(PcdParams):
+    """What the check of a finished cloud depends on."""
+
+    tile_size_m: int
+
+
 class SensorPose(Params):
     """Where the sensor sits in the body whose poses SLAM gives: x forward, y left, z up."""
 
@@ -122,7 +137,7 @@ class ScanParams(Params):
     )
 
 
-class PointCloudInput(ScanParams, PointCloudParams):
+class PointCloudInput(PcdParams, ScanParams, PointCloudParams):
     """The point cloud map in the SLAM frame, or the recording whose scans make one."""
 
     file: Path

@@ -10,7 +10,7 @@ import os
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import Any, BinaryIO
+from typing import Any, BinaryIO, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -172,14 +172,14 @@ def read_pcd(source: Source) -> PointCloud:
     return to_cloud(np.concatenate(blocks) if blocks else np.empty(0, reader.record_type))
 
 
-def pcd_bytes(cloud: PointCloud) -> bytes:
-    """A binary PCD file: x y z as float32, then all fields in their own types; same cloud, same bytes.
+def pcd_bytes(cloud: PointCloud, coordinates: Literal["float32", "float64"] = "float32") -> bytes:
+    """A binary PCD file: x y z of the given type, then all fields in their own types; same cloud, same bytes.
 
-    Raises ValueError when a coordinate is beyond what float32 can hold.
+    Raises ValueError when a coordinate is beyond what the type can hold.
     """
     columns = {**{axis: cloud.xyz_m[:, i] for i, axis in enumerate(AXES)}, **cloud.fields}
     types = [
-        (n, np.dtype("<f4") if n in AXES else v.dtype.newbyteorder("<"), v.shape[1:])
+        (n, np.dtype(coordinates).newbyteorder("<") if n in AXES else v.dtype.newbyteorder("<"), v.shape[1:])
         for n, v in columns.items()
     ]
     records = np.empty(len(cloud), np.dtype(types))
@@ -187,7 +187,7 @@ def pcd_bytes(cloud: PointCloud) -> bytes:
         for name, values in columns.items():
             records[name] = values
     if not all(np.isfinite(records[axis]).all() for axis in AXES):
-        raise ValueError("a coordinate that float32 cannot hold")
+        raise ValueError(f"a coordinate that {coordinates} cannot hold")
     kinds = [np.dtype(t) for _, t, _ in types]
     counts = [int(np.prod(s, dtype=np.int64)) for _, _, s in types]
     header = (

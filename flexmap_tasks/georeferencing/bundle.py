@@ -10,17 +10,18 @@ import numpy as np
 
 from flexmap_tasks.config import GeoreferenceParams
 from flexmap_tasks.engine.stage import stage
-from flexmap_tasks.errors import ConfigError, CoverageError
+from flexmap_tasks.errors import CoverageError
 from flexmap_tasks.formats.osm_xml_write import write_osm_xml
 from flexmap_tasks.formats.projector_info import write_projector_info
 from flexmap_tasks.geometry import mgrs
-from flexmap_tasks.geometry.utm import NORTH_LIMIT_DEG, SOUTH_LIMIT_DEG, to_lonlat, utm_epsg
+from flexmap_tasks.geometry.utm import NORTH_LIMIT_DEG, SOUTH_LIMIT_DEG, to_lonlat
+from flexmap_tasks.georeferencing.frame import PROJECTOR_FILE, check_zone, local_cartesian
 from flexmap_tasks.model.arrays import Floats, Ints, Strings, strings
 from flexmap_tasks.model.maps import LaneletMap
 from flexmap_tasks.model.osm import OsmDocument, OsmNodes, Tags
 from flexmap_tasks.model.projection import Projection
 
-MAP_FILE, PROJECTOR_FILE = "lanelet2_map.osm", "map_projector_info.yaml"
+MAP_FILE = "lanelet2_map.osm"
 MGRS_DIGITS = 3
 """Vector Map Builder writes `mgrs_code` to 100 m; a map that carries codes of another length keeps it."""
 _MGRS_CODE = re.compile(r"[0-9]{1,2}[A-Z]{3}((?:[0-9]{2}){0,5})")
@@ -70,12 +71,7 @@ def _projector_frame(
     xyz_m: Floats, lonlat_deg: Floats, projection: Projection, params: GeoreferenceParams
 ) -> tuple[Floats, bytes]:
     """Positions in the plane as the projector sees them, and the projector's file."""
-    own = utm_epsg(projection.origin_lon_deg, projection.origin_lat_deg)
-    if params.projector != "Local" and own != projection.epsg:
-        rule = f"{params.projector} always works in the origin's own zone, but zone {projection.zone} was asked for"
-        raise ConfigError(
-            "projection", rule + "; leave it empty, or set georeference.projector to Local", "zone"
-        )
+    check_zone(projection, params)
     if params.projector == "MGRS":
         names, within = mgrs.squares(lonlat_deg)
         found = sorted(set(names))
@@ -87,9 +83,7 @@ def _projector_frame(
         return within, write_projector_info("MGRS", params.vertical_datum, mgrs_grid="".join(found[:1]))
     if params.projector == "Local":
         return xyz_m[:, :2], write_projector_info("Local", params.vertical_datum)
-    origin = (projection.origin_lat_deg, projection.origin_lon_deg)
-    info = write_projector_info("LocalCartesianUTM", params.vertical_datum, origin_lat_lon_deg=origin)
-    return xyz_m[:, :2], info
+    return xyz_m[:, :2], local_cartesian(projection, params)
 
 
 def _placed_nodes(nodes: OsmNodes, lonlat_deg: Floats, xyz_m: Floats) -> OsmNodes:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -84,6 +84,16 @@ class TileKeys:
     """
 
     key: Strings
+
+
+@dataclass(frozen=True, slots=True)
+class CloudFrame:
+    """Where the origin of the map frame lies in the frame of Autoware's projector, metres east and north."""
+
+    as_json: ClassVar[bool] = True
+
+    origin_x_m: float
+    origin_y_m: float
 
 
 def tile_key(ix: int, iy: int) -> str:

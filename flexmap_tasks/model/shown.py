@@ -38,3 +38,4 @@ class Shown:
     map_findings: Findings | None
     transfer_findings: Findings | None
     bundle_findings: Findings | None
+    cloud_findings: Findings | None

@@ -95,6 +95,7 @@ def export_layers(shown: Shown, aligned: Trajectory, params: ReportParams) -> di
         "flexmap-map": (shown.map_findings, ()),
         "flexmap-conflation": (shown.transfer_findings, ()),
         "flexmap-bundle": (shown.bundle_findings, CODES),
+        "flexmap-cloud": (shown.cloud_findings, ()),
     }
     files["issues.json"] = issues_json({k: (f, codes) for k, (f, codes) in told.items() if f is not None})
     return files

@@ -53,7 +53,8 @@ def report_data(
     """All that the page is told."""
     texts = Texts()
     final = final_map_of(shown)
-    found = [f for f in (shown.map_findings, shown.transfer_findings, shown.bundle_findings) if f is not None]
+    told = (shown.map_findings, shown.transfer_findings, shown.bundle_findings, shown.cloud_findings)
+    found = [f for f in told if f is not None]
     items = review_items(shown.matches, shown.transfers, shown.lane_check)
     near = np.concatenate([shown.gnss.xyz_m[:, :2], *([final.xyz_m[:, :2]] if final is not None else [])])
     return {

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tempfile
 from pathlib import Path
 
 import numpy as np
@@ -12,23 +13,38 @@ from hypothesis import strategies as st
 from pcd_writer import pcd, source
 from scipy.spatial import Delaunay
 
-from flexmap_tasks.config import PointCloudParams
+from flexmap_tasks.config import CloudCheckParams, GeoreferenceParams, PcdParams, PointCloudParams
 from flexmap_tasks.errors import CoverageError
 from flexmap_tasks.formats.artifacts import decode, encode
 from flexmap_tasks.formats.pcd import read_pcd
+from flexmap_tasks.geometry.mgrs import squares
 from flexmap_tasks.georeferencing.cloud import (
-    check_map_tiles,
+    check_cloud,
     merge_tile,
     pointcloud_metadata,
     tile_extent,
     warp_tile,
 )
+from flexmap_tasks.georeferencing.frame import cloud_frame, projector_file
 from flexmap_tasks.ingest.point_cloud import ingest_point_cloud
 from flexmap_tasks.model.alignment import RigidMotion, RubberSheet, Warp
 from flexmap_tasks.model.arrays import strings
-from flexmap_tasks.model.clouds import PointCloud, TileKeys, Tiles, tile_key, tile_numbers
+from flexmap_tasks.model.clouds import (
+    CloudFrame,
+    PointCloud,
+    TileIndex,
+    TileKeys,
+    Tiles,
+    cloud_findings,
+    tile_key,
+    tile_numbers,
+)
+from flexmap_tasks.model.maps import Findings
+from flexmap_tasks.model.projection import Projection
+from flexmap_tasks.model.tracks import Trajectory
 
 PARAMS = PointCloudParams()
+PCD = PcdParams()
 
 
 def rigid(angle_rad: float = 0.0, shift_m: tuple[float, float] = (0.0, 0.0), scale: float = 1.0) -> Warp:
@@ -69,7 +85,7 @@ def map_tiles(tiles: dict[str, PointCloud], warp: Warp) -> dict[str, dict[str, P
     """Map tile -> SLAM tile -> points."""
     out: dict[str, dict[str, PointCloud]] = {}
     for key, tile in tiles.items():
-        for moved_key, part in warp_tile(tile, warp, PARAMS).items():
+        for moved_key, part in warp_tile(tile, warp, None, PARAMS).items():
             out.setdefault(moved_key, {})[key] = part
     return out
 
@@ -95,7 +111,7 @@ def test_the_part_of_the_warp_that_touches_a_tile_moves_it_to_the_same_bits() ->
     warp = bent(3)
     for key, tile in slam_tiles().items():
         near = warp.restrict(tile_extent(key, PARAMS))
-        whole, part = warp_tile(tile, warp, PARAMS), warp_tile(tile, near, PARAMS)
+        whole, part = warp_tile(tile, warp, None, PARAMS), warp_tile(tile, near, None, PARAMS)
         assert list(whole) == list(part)
         assert all(whole[k].xyz_m.tobytes() == part[k].xyz_m.tobytes() for k in whole)
 
@@ -113,10 +129,10 @@ def test_merged_tiles_hold_all_points_in_float32_whatever_the_order_of_parts(tmp
     tiles, warp = slam_tiles(), bent(5)
     total = 0
     for parts in map_tiles(tiles, warp).values():
-        (name, content), *rest = merge_tile(parts).items()
+        (name, content), *rest = merge_tile(parts, PCD).items()
         assert name == "tile.pcd"
         assert not rest
-        assert content == merge_tile(dict(reversed(parts.items())))["tile.pcd"]
+        assert content == merge_tile(dict(reversed(parts.items())), PCD)["tile.pcd"]
         cloud = read_pcd(source(tmp_path, content))
         in_order = [parts[k] for k in sorted(parts, key=tile_numbers)]
         assert np.abs(cloud.xyz_m - np.concatenate([p.xyz_m for p in in_order])).max() < 1e-5
@@ -133,7 +149,7 @@ def test_parts_are_in_numeric_order_of_their_tiles(tmp_path: Path) -> None:
         k: PointCloud(np.full((1, 3), float(i)), {})
         for i, k in enumerate(["-2_0", "0_-1", "0_3", "2_0", "10_0"])
     }
-    content = merge_tile(dict(sorted(parts.items())))["tile.pcd"]
+    content = merge_tile(dict(sorted(parts.items())), PCD)["tile.pcd"]
     assert read_pcd(source(tmp_path, content)).xyz_m[:, 0].tolist() == [0, 1, 2, 3, 4]
 
 
@@ -144,7 +160,7 @@ def test_normals_turn_with_the_warp(names: tuple[str, str, str]) -> None:
     normal /= np.linalg.norm(normal, axis=1)[:, None]
     fields = {n: normal[:, i].astype("f4") for i, n in enumerate(names)}
     tile = PointCloud(rng.uniform(0, 5, (50, 3)), fields)
-    moved = next(iter(warp_tile(tile, rigid(0.5, (110.0, 110.0), 0.9996), PARAMS).values()))
+    moved = next(iter(warp_tile(tile, rigid(0.5, (110.0, 110.0), 0.9996), None, PARAMS).values()))
     cos, sin = np.cos(0.5), np.sin(0.5)
     expected = normal @ np.array([[cos, sin, 0], [-sin, cos, 0], [0, 0, 1]])
     got = np.column_stack([moved.fields[n] for n in names])
@@ -158,13 +174,13 @@ def test_normals_stay_of_unit_length_in_a_sheet() -> None:
         np.random.default_rng(3).uniform(-60, 60, (500, 3)),
         {"normal_x": np.ones(500), "normal_y": np.zeros(500)},
     )
-    for part in warp_tile(tile, bent(1), PARAMS).values():
+    for part in warp_tile(tile, bent(1), None, PARAMS).values():
         np.testing.assert_allclose(np.hypot(part.fields["normal_x"], part.fields["normal_y"]), 1, atol=1e-12)
 
 
 def test_without_a_warp_tiles_stay_as_they_are() -> None:
     for key, tile in slam_tiles(points=300).items():
-        parts = warp_tile(tile, None, PARAMS)
+        parts = warp_tile(tile, None, None, PARAMS)
         assert list(parts) == [key]
         np.testing.assert_array_equal(parts[key].xyz_m, tile.xyz_m)
         np.testing.assert_array_equal(parts[key].fields["row"], tile.fields["row"])
@@ -172,9 +188,9 @@ def test_without_a_warp_tiles_stay_as_they_are() -> None:
 
 def test_a_warp_out_of_this_world_is_refused() -> None:
     with pytest.raises(CoverageError, match="out of any map frame"):
-        warp_tile(PointCloud(np.zeros((1, 3)), {}), rigid(0, (1e12, 0)), PARAMS)
+        warp_tile(PointCloud(np.zeros((1, 3)), {}), rigid(0, (1e12, 0)), None, PARAMS)
     with pytest.raises(CoverageError, match="out of any map frame"):
-        warp_tile(PointCloud(np.zeros((1, 3)), {}), rigid(0, (np.nan, 0)), PARAMS)
+        warp_tile(PointCloud(np.zeros((1, 3)), {}), rigid(0, (np.nan, 0)), None, PARAMS)
 
 
 def test_metadata_lists_every_tile_as_autoware_reads_it() -> None:
@@ -188,14 +204,70 @@ def test_metadata_lists_every_tile_as_autoware_reads_it() -> None:
     assert all(isinstance(v, int) for corner in loaded.values() for v in corner)
 
 
+def drive_at(x_m: float) -> Trajectory:
+    return Trajectory(
+        np.array([[x_m, 0.0, 0.0], [x_m + 50, 9.0, 0.0]]), np.tile([0.0, 0, 0, 1], (2, 1)), None
+    )
+
+
+def checked(keys: list[str], *, coordinates: str = "float32", drive_x_m: float = 0.0) -> Findings:
+    index = TileIndex(strings(["0_0"]), np.array([9]), *(np.array([float(v)]) for v in (0, 0, 0, 20, 20, 5)))
+    params = CloudCheckParams.model_validate({"tile_size_m": 20, "coordinates": coordinates})
+    read = cloud_findings([("cloud-outliers", "info", "one")])
+    return check_cloud(read, index, drive_at(drive_x_m), TileKeys(strings(keys)), params)
+
+
 def test_tiles_far_from_the_origin_are_reported() -> None:
-    near = TileKeys(strings(["499_0", "-500_3"]))
-    assert len(check_map_tiles(near, PARAMS)) == 0
-    assert len(check_map_tiles(TileKeys(strings([])), PARAMS)) == 0
-    found = check_map_tiles(TileKeys(strings(["0_0", "0_-850", "1_500"])), PARAMS)
-    assert found.code.tolist() == ["cloud-far-from-origin"]
-    assert "2 of 3 tiles" in found.message[0]
-    assert "up to 17.0 km come in steps of 2.0 mm" in found.message[0]
+    assert checked(["818_0", "-819_3"]).code.tolist() == ["cloud-outliers"]
+    assert len(checked([])) == 1
+    found = checked(["0_0", "0_-850", "1_900"])
+    assert found.code.tolist() == ["cloud-outliers", "cloud-far-from-origin"]
+    assert "2 of 3 tiles" in found.message[1]
+    assert "up to 18.0 km are off by up to 1.0 mm" in found.message[1]
+    assert "up to 100.0 km are off by up to 3.9 mm" in checked(["4999_0"]).message[1], (
+        "the far end of an MGRS square"
+    )
+    assert len(checked(["4999_0"], coordinates="float64")) == 1
+
+
+def test_a_cloud_beside_the_drive_is_told() -> None:
+    assert checked(["0_0"], drive_x_m=500).code.tolist() == ["cloud-outliers"]
+    found = checked(["0_0"], drive_x_m=1020.0)
+    assert found.code.tolist() == ["cloud-outliers", "cloud-far-from-drive"]
+    assert "1000 m from" in found.message[1]
+
+
+@settings(max_examples=200)
+@given(st.floats(-16_384, 16_384), st.floats(-16_384, 16_384), st.floats(-500, 9000))
+def test_float32_loses_less_than_half_a_millimetre_within_16_km(x: float, y: float, z: float) -> None:
+    with tempfile.TemporaryDirectory() as folder:
+        cloud = PointCloud(np.array([[x, y, z]]), {})
+        near = read_pcd(source(Path(folder), merge_tile({"0_0": cloud}, PCD)["tile.pcd"]))
+        assert np.abs(near.xyz_m - cloud.xyz_m).max() < 0.0005
+        exact = merge_tile({"0_0": cloud}, PcdParams(coordinates="float64"))["tile.pcd"]
+        np.testing.assert_array_equal(read_pcd(source(Path(folder), exact)).xyz_m, cloud.xyz_m)
+
+
+def test_with_mgrs_the_cloud_lies_in_the_square_as_the_lanelets_do() -> None:
+    origin = Projection.at(11.6690, 48.2643)
+    mgrs = GeoreferenceParams(projector="MGRS")
+    frame = cloud_frame(origin, None, mgrs)
+    assert cloud_frame(origin, None, GeoreferenceParams()) == CloudFrame(0.0, 0.0)
+    place = np.array([[11.6700, 48.2650]])
+    names, within_m = squares(place)
+    tile = PointCloud(np.column_stack([origin.to_xy_m(place), [500.0]]), {})
+    (key, part), *_ = warp_tile(tile, None, frame, PARAMS).items()
+    np.testing.assert_allclose(part.xyz_m[0, :2], within_m[0], atol=2e-6)
+    assert tile_numbers(key) == tuple(np.floor(within_m[0] / 20).astype(int))
+    assert (tile.xyz_m[0, :2] == origin.to_xy_m(place)[0]).all(), "what is cached is not written to"
+    files = projector_file(origin, mgrs)
+    assert f"mgrs_grid: {names[0]}".encode() in files["map_projector_info.yaml"]
+    assert cloud_frame(origin, files, mgrs) == frame
+    with pytest.raises(CoverageError, match="lies in MGRS square 32UPA, the origin in 32UPU"):
+        cloud_frame(origin, {"map_projector_info.yaml": b"mgrs_grid: 32UPA"}, mgrs)
+    plain = projector_file(origin, GeoreferenceParams())["map_projector_info.yaml"]
+    assert b"LocalCartesianUTM" in plain
+    assert b"latitude: 48.2643" in plain
 
 
 class Folder:
@@ -239,4 +311,4 @@ def test_parts_survive_the_store() -> None:
     parts = next(iter(map_tiles(slam_tiles(), bent(5)).values()))
     stored = Folder(dict(encode(parts, "parts")))
     loaded = decode(dict[str, PointCloud], stored, "parts")  # type: ignore[arg-type]
-    assert merge_tile(loaded) == merge_tile(parts)
+    assert merge_tile(loaded, PCD) == merge_tile(parts, PCD)
