@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import io
 import json
-from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -155,17 +154,18 @@ def _tags(column: pa.ChunkedArray) -> Tags:
 def _with_geometry(table: pa.Table, metadata: dict[str, str], offset: Any) -> tuple[pa.Table, dict[str, str]]:
     for x, y, crs in (("lon_deg", "lat_deg", True), ("x_m", "y_m", False)):
         if x in table.column_names and y in table.column_names:
-            wkb, kind = _wkb(table.column(x), table.column(y), offset)
+            geometry, kind = _geometry(table.column(x), table.column(y), offset)
             column: dict[str, Any] = {"encoding": "WKB", "geometry_types": [kind]}
             if not crs:
                 column["crs"] = None  # a local frame: metres, no EPSG code of its own
             geo = {"version": "1.1.0", "primary_column": "geometry", "columns": {"geometry": column}}
             metadata = {**metadata, "geo": json.dumps(geo, sort_keys=True)}
-            return table.append_column("geometry", pa.array(list(wkb), pa.binary())), metadata
+            return table.append_column("geometry", geometry), metadata
     return table, metadata
 
 
-def _wkb(x: pa.ChunkedArray, y: pa.ChunkedArray, offset: Any) -> tuple[Iterator[bytes | None], str]:
+def _geometry(x: pa.ChunkedArray, y: pa.ChunkedArray, offset: Any) -> tuple[pa.Array, str]:
+    """A column of WKB, null where there is nothing to draw, and what its geometries are called."""
     if pa.types.is_list(x.type):
         xy = np.column_stack([_numpy(c.combine_chunks().values) for c in (x, y)])
         size = np.diff(offset)
@@ -176,8 +176,17 @@ def _wkb(x: pa.ChunkedArray, y: pa.ChunkedArray, offset: Any) -> tuple[Iterator[
         new_row = (np.cumsum(keep) - 1)[rows[use]]
         if keep.any():
             lines[keep] = shapely.linestrings(xy[use], indices=new_row)
-        return iter(shapely.to_wkb(lines)), "LineString"
+        return pa.array(list(shapely.to_wkb(lines)), pa.binary()), "LineString"
     xy = np.column_stack([_numpy(c.combine_chunks()) for c in (x, y)])
-    points = shapely.points(xy)
-    points[~np.isfinite(xy).all(axis=1)] = None
-    return iter(shapely.to_wkb(points)), "Point"
+    return _points(xy), "Point"
+
+
+def _points(xy: NDArray[np.float64]) -> pa.Array:
+    """WKB of (n, 2) points, laid out at once: one call per point costs more than all the rest of a table."""
+    known = np.isfinite(xy).all(axis=1)
+    rows = np.zeros(int(known.sum()), [("order", "u1"), ("kind", "<u4"), ("xy", "<f8", (2,))])
+    rows["order"] = rows["kind"] = 1  # little-endian, a point
+    rows["xy"] = xy[known]
+    offset = np.append(0, np.cumsum(known, dtype=np.int64) * rows.itemsize)
+    buffers = [np.packbits(known, bitorder="little"), _small(offset), rows.view(np.uint8)]
+    return pa.Array.from_buffers(pa.binary(), len(xy), [pa.py_buffer(b) for b in buffers])
