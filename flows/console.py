@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+import math
 import sys
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from rich.console import Console
@@ -94,6 +96,8 @@ def show_summary(map_name: str, release: Release, seconds: float) -> None:
             value = "-" if measure["value"] is None else f"{measure['value']:.4g}"
             table.add_row(measure["name"], value, measure["unit"], limit)
     _console.print(table)
+    if release.fresh and (release.folder / "control_points.parquet").exists():
+        _say_worst_point(release.folder / "control_points.parquet")
     state = "new release" if release.fresh else "release unchanged:"
     say(f"{state} {release.id} of {map_name}, {seconds:.1f} s")
     finished = release.folder / "lanelet2_map.osm"
@@ -110,6 +114,20 @@ def show_comparison(comparison: Comparison) -> None:
     for name in cells[0]:
         table.add_row(name, *(row[name].replace("[", r"\[") for row in cells))
     _console.print(table)
+
+
+def _say_worst_point(file: Path) -> None:
+    """The control point that the others contradict most."""
+    from flexmap_tasks.formats.table_files import first_row  # noqa: PLC0415 - loads pyarrow
+
+    worst = first_row(file)
+    if worst is None or not worst["used"] or math.isnan(worst["leave_one_out_m"]):
+        return
+    label = "".join(c for c in worst["label"] if c.isprintable())[:60]
+    say(
+        f"worst control point: {label}, {worst['leave_one_out_m']:.2f} m from where the others put it, "
+        f"{worst['residual_m']:.2f} m off in the map (all: {file.name})"
+    )
 
 
 class StageProgress:

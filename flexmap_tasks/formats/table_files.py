@@ -22,6 +22,12 @@ def write_table(rows: Sequence[Mapping[str, Any]], file: Path) -> None:
         pq.write_table(table, file)
 
 
+def first_row(file: Path) -> dict[str, Any] | None:
+    """The first line of a Parquet table; None when it has none."""
+    table = pq.read_table(file).slice(0, 1)
+    return table.to_pylist()[0] if len(table) else None
+
+
 def _array(values: Sequence[Any]) -> pa.Array:
     kinds = {type(value) for value in values if value is not None}
     if kinds <= {int, float} or (len(kinds) == 1 and kinds <= {bool, str}):

@@ -12,16 +12,18 @@ from hypothesis import strategies as st
 from flexmap_tasks.alignment.automatic_points import automatic_control_points
 from flexmap_tasks.alignment.control_points import control_points
 from flexmap_tasks.alignment.judge_points import judge_points
+from flexmap_tasks.alignment.pose_graph import pose_graph, pose_graph_warp
 from flexmap_tasks.alignment.rubber_sheet import rubber_sheet, stretches
 from flexmap_tasks.alignment.umeyama import umeyama
 from flexmap_tasks.config import (
     AutomaticControlPointsParams,
     PairParams,
+    PoseGraphParams,
     RubberSheetParams,
     UmeyamaParams,
 )
 from flexmap_tasks.errors import AlignmentError
-from flexmap_tasks.model.alignment import ControlPoints, RigidMotion, Warp
+from flexmap_tasks.model.alignment import ControlPoints, JudgedPoints, RigidMotion, Warp
 from flexmap_tasks.model.arrays import strings
 from flexmap_tasks.model.projection import Projection
 from flexmap_tasks.model.source import Source
@@ -217,3 +219,24 @@ def test_without_a_sheet_a_point_is_left_where_it_is() -> None:
     shift = np.hypot(*(points.target_xy_m - points.source_xy_m).T)
     assert sorted(judged.residual_m) == pytest.approx(sorted(shift))
     assert np.array_equal(judged.residual_m, judged.leave_one_out_m)
+
+
+def test_left_out_error_in_a_pose_graph_is_that_of_a_graph_without_the_point() -> None:
+    slam, gnss = tracks(2, timed=True)
+    rows = np.array([100, 700, 1300])
+    place = slam.xyz_m[rows, :2] + [[1.0, 2.0], [-1.0, 0.5], [0.0, -2.0]]
+    target = loop()[rows] + [[1.0, 2.0], [-1.0, 0.5], [0.3, -2.0]]  # the last is 0.3 m wrong
+    points = ControlPoints(
+        strings("abc"), place, target, np.full(3, 0.05), np.ones(3, bool), strings([""] * 3)
+    )
+
+    def judged(these: ControlPoints) -> JudgedPoints:
+        graph = pose_graph(slam, gnss, HERE, these, STILL, PoseGraphParams())
+        return judge_points(points, STILL, pose_graph_warp(graph, PoseGraphParams()), graph.nodes)
+
+    whole, without = judged(points), judged(points.take(np.array([0, 1])))
+    assert whole.label[0] == "c"
+    expected = without.residual_m[without.label.tolist().index("c")]
+    assert whole.leave_one_out_m[0] > whole.residual_m[0]
+    assert whole.leave_one_out_m[0] == pytest.approx(expected, abs=0.03)
+    assert expected == pytest.approx(0.3, abs=0.1)
