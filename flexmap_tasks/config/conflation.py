@@ -32,7 +32,10 @@ class PathParams(Params):
     sigma_start_m: Positive = Field(3.0, description="scatter of roads before it is estimated")
     angle_sigma_deg: Positive = 12.0
     absent_cost: NonNegative = Field(
-        4.0, description="misfit of a sample at which no counterpart is as likely"
+        3.5, description="misfit of a sample at which no counterpart is as likely"
+    )
+    absent_cost_start: NonNegative = Field(
+        5.0, description="the same while it is still being estimated by how much roads are displaced"
     )
     gap_cost: NonNegative = Field(3.0, description="misfit for a change between a road and no counterpart")
     jump_cost: NonNegative = Field(5.0, description="misfit for a change to a road that is not connected")
@@ -43,7 +46,11 @@ class PathParams(Params):
         description="misfit for the lower of two roads above each other on a bridge, or the upper below it",
     )
     minor_cost: NonNegative = Field(0.5, description="misfit for service roads for few, and private roads")
-    rounds: Annotated[int, Field(ge=1, le=10)] = Field(3, description="estimates of displacement and scatter")
+    narrow_cost: NonNegative = Field(
+        3.0,
+        description="misfit of a road too small for several lanes in one direction, where the map has them",
+    )
+    rounds: Annotated[int, Field(ge=1, le=10)] = Field(4, description="estimates of displacement and scatter")
     review_confidence: Share = Field(0.7, description="a less certain match goes to review")
 
 

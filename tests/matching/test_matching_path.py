@@ -105,6 +105,47 @@ def test_a_parallel_road_does_not_stand_in_for_one_that_is_missing():
     assert set(m.decision[~np.isin(m.lanelet_id, lost)]) == {"match"}
 
 
+def test_a_town_that_is_displaced_more_and_more_is_followed():
+    """Roads lie off by up to 16 m in one corner of the town, as far as the next road, and not at all in another."""
+    draft, ways, right = MapDraft(), [], {}
+    for k in range(9):
+        ids = two_way_road(draft, [(x, 60.0 * k) for x, _ in X])
+        right |= dict.fromkeys(ids, k + 1)
+        ways.append([(-30.0, 62.0 * k), (230.0, 62.0 * k)])
+    m = run(draft.build(), roads(ways)).matches
+    assert dict(zip(m.lanelet_id.tolist(), m.way_id.tolist(), strict=True)) == right
+
+
+def test_a_road_drawn_badly_between_its_ends_is_matched_on():
+    """The way bows 14 m away from the lanes and comes back: a road does not end and begin again there."""
+    draft = MapDraft()
+    course = [(float(x), 0.0) for x in range(0, 401, 20)]
+    two_way_road(draft, course)
+    bow = [(x, 14.0 if 160 < x < 240 else 0.0) for x, _ in [(-20.0, 0.0), *course, (420.0, 0.0)]]
+    m = run(draft.build(), roads([bow])).matches
+    assert set(m.way_id.tolist()) == {1}
+
+
+def test_a_road_for_one_lane_does_not_stand_in_for_a_wide_one():
+    """Two lanes each way, and no road but a lane for deliveries 6 m beside; one lane each way may well be that."""
+    for lanes, tags, found in (
+        (2, {"highway": "service"}, 0), (2, {"highway": "tertiary", "lanes": "1", "oneway": "yes"}, 0),
+        (2, {"highway": "tertiary"}, 4), (1, {"highway": "service"}, 4),
+    ):  # fmt: skip
+        draft, ways = MapDraft(), []
+        for y in (200.0, 300.0, 400.0):
+            two_way_road(draft, [(x, y) for x, _ in X])
+            ways.append([(-30.0, y), (230.0, y)])
+        mine = []
+        for k in range(lanes):
+            inner, outer = 3.5 * k, 3.5 * (k + 1)
+            mine.append(draft.lanelet(offset_line(X, -inner), offset_line(X, -outer)))
+            mine.append(draft.lanelet(offset_line(X, inner)[::-1], offset_line(X, outer)[::-1]))
+        placed = roads([*ways, [(-30.0, 4.5), (230.0, 4.5)]], [{"highway": "residential"}] * 3 + [tags])
+        m = run(draft.build(), placed).matches
+        assert set(m.way_id[np.isin(m.lanelet_id, mine)].tolist()) == {found}, (lanes, tags)
+
+
 def test_a_bridge_is_not_mistaken_for_the_road_below():
     """Two roads cross without a node in common: each lanelet stays on its own."""
     draft = MapDraft()

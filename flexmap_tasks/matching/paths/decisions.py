@@ -11,9 +11,11 @@ from flexmap_tasks.geometry.segments import running_maximum
 from flexmap_tasks.matching.paths.inference import Posterior
 from flexmap_tasks.matching.paths.road_graph import RoadGraph
 from flexmap_tasks.matching.paths.samples import Samples
-from flexmap_tasks.matching.paths.states import best_states
+from flexmap_tasks.matching.paths.states import States, best_states
 from flexmap_tasks.model.arrays import Bools, Floats, Ints
 
+BRIDGE_SLACK_M, BRIDGE_SLACK_SHARE = 5.0, 0.2
+"""By how much a road may be longer or shorter than the lane where it is believed without fitting."""
 JUNCTION_REACH_M = 15.0
 """A run that ends this near to a junction, where the next begins, reaches up to it."""
 
@@ -79,7 +81,43 @@ def chosen_states(samples: Samples, posterior: Posterior) -> Ints:
     lost = np.where(late, ahead[bundle] & ~behind[bundle], behind[bundle] & ~ahead[bundle])
     whole = ~ahead[bundle] & ~behind[bundle]
     turned = np.where(lost, nowhere, np.where(whole, on_road, best))
-    return np.where(samples.connector, turned, best)
+    return _bridged(samples, states, np.where(samples.connector, turned, best))
+
+
+def _bridged(samples: Samples, states: States, best: Ints) -> Ints:
+    """Put stretches without a counterpart on the road that runs on before and after them as far as the lane does.
+
+    A road does not end and begin again on the same link: it is drawn badly there.
+    """
+    run, link, first, last = _stretches(samples, states, best)
+    inner = np.flatnonzero((link[:-2] == link[2:]) & (link[1:-1] < 0) & (link[2:] >= 0)) + 1
+    a, b = last[inner - 1], first[inner + 1]
+    inner = inner[
+        (samples.bundle[a] == samples.bundle[b]) & (states.direction[best[a]] == states.direction[best[b]])
+    ]
+    a, b = last[inner - 1], first[inner + 1]
+    driven = (states.s_m[best[b]] - states.s_m[best[a]]) * states.direction[best[a]]
+    drawn = (b - a) * samples.step_m[a]
+    inner = inner[np.abs(driven - drawn) <= BRIDGE_SLACK_M + BRIDGE_SLACK_SHARE * drawn]
+    wanted = np.full(len(link), -2, dtype=np.int64)
+    wanted[inner] = link[inner - 1]
+    of = states.sample
+    hit = np.flatnonzero(states.link == wanted[run[of]])
+    found = np.zeros(len(best), dtype=np.int64)
+    found[of[hit]] = 1
+    whole = np.bincount(run, weights=found, minlength=len(link)) == last - first + 1
+    hit = hit[whole[run[of[hit]]]]
+    out = best.copy()
+    out[of[hit]] = hit
+    return out
+
+
+def _stretches(samples: Samples, states: States, best: Ints) -> tuple[Ints, Ints, Ints, Ints]:
+    """Neighbouring samples of a bundle on one link (or none): number per sample; link, first and last per stretch."""
+    link, n = states.link[best], len(samples)
+    new = np.append(True, (samples.bundle[1:] != samples.bundle[:-1]) | (link[1:] != link[:-1]))[:n]
+    first = np.flatnonzero(new)
+    return np.cumsum(new) - 1, link[first], first, np.append(first[1:], n)[: len(first)] - 1
 
 
 def _certainty(samples: Samples, graph: RoadGraph, posterior: Posterior, best: Ints) -> Floats:
@@ -99,6 +137,11 @@ def _certainty(samples: Samples, graph: RoadGraph, posterior: Posterior, best: I
     counts = (states.link >= 0) & np.isin(samples.bundle[of] * base + states.link, joined)
     either = np.bincount(of[counts], weights=posterior.probability[counts], minlength=len(samples))
     certain: Floats = np.where(samples.connector & (link >= 0), either, posterior.probability[best])
+    nowhere = states.offset[1:] - 1
+    bridged = (
+        (link >= 0) & (posterior.probability[best] < posterior.probability[nowhere]) & ~samples.connector
+    )
+    certain = np.where(bridged, certain + posterior.probability[nowhere], certain)
     return np.minimum(certain, 1.0)
 
 

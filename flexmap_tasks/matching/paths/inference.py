@@ -40,7 +40,8 @@ def infer(samples: Samples, graph: RoadGraph, network: RoadNetwork, params: Path
 
     States are places on links (or none), the fit of a place is by distance and heading, and places follow each
     other as far apart on the road graph as the samples are on the lanelets. Displacement and scatter of the
-    roads are estimated from the outcome, round by round.
+    roads are estimated from the outcome, round by round. Until they are known a road far off is believed more
+    easily than its absence: else a place where all roads are far displaced would lose them all at once.
     """
     near = near_segments(samples, graph, params.radius_m)
     cost = near_costs(samples, graph, network, near, params)
@@ -49,13 +50,15 @@ def infer(samples: Samples, graph: RoadGraph, network: RoadNetwork, params: Path
     scale = np.where(turning, 2.0, 1.0) * params.detour_m
     shift, sigma = np.zeros((len(samples), 2)), params.sigma_start_m
     for k in range(params.rounds):
-        states = states_of(samples, graph, near, cost, shift, sigma, params)
+        last = k + 1 == params.rounds
+        absent = params.absent_cost if last else params.absent_cost_start
+        states = states_of(samples, graph, near, cost, shift, sigma, params, absent)
         offset, pair = pair_weights(
             states.offset, states.link, states.direction, states.s_m, samples.edges, samples.edge_m, scale,
             net, params.jump_cost, params.gap_cost,
         )  # fmt: skip
-        sweeps = SWEEPS if k + 1 < params.rounds else LAST_SWEEPS
+        sweeps = LAST_SWEEPS if last else SWEEPS
         probability = beliefs(states.offset, np.exp(-states.cost), samples.edges, offset, pair, sweeps)
-        if k + 1 < params.rounds:
+        if not last:
             shift, sigma = displacement(samples, states, probability)
     return Posterior(states, probability, shift, sigma)

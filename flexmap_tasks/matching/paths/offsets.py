@@ -11,13 +11,17 @@ from flexmap_tasks.matching.paths.states import States, best_states
 from flexmap_tasks.model.arrays import Floats, Ints
 
 CELL_M = 20.0
-REACH_M = 40.0
+REACH_M = 18.0
 """Standard deviation of the kernel over which displacements are alike."""
 PRIOR_M = 15.0
-"""A local displacement is believed half when this length of road, weighed by the kernel, shows it."""
+"""The displacement of the whole map is believed half when this length of road shows it."""
+LOCAL_PRIOR_M, LOCAL_SCATTER_M = 20.0, 1.5
+"""A local one when this length, weighed by the kernel, shows it and local ones scatter by this much over the map:
+by the ridge that is right for displacements of that size."""
 SIGMA_MIN_M, SIGMA_MAX_M = 1.0, 6.0
 SURE = 0.6
 USUAL_MIN_M = 1.0
+ROBUST_ROUNDS = 8
 
 
 def displacement(samples: Samples, states: States, probability: Floats) -> tuple[Floats, float]:
@@ -35,16 +39,21 @@ def displacement(samples: Samples, states: States, probability: Floats) -> tuple
     normal = np.stack([samples.heading[rows, 1], -samples.heading[rows, 0]], axis=1)
     seen = np.einsum("ij,ij->i", states.offset_m[best[rows]], normal)
     weight = probability[best[rows]] * samples.step_m[rows]
-    overall = _solve(*_sums(normal, seen, weight, np.zeros(len(rows), dtype=np.int64), 1), PRIOR_M)[0]
+    everywhere = np.zeros(len(rows), dtype=np.int64)
+    overall, trust = np.zeros(2), np.ones(len(rows))
+    for _ in range(ROBUST_ROUNDS):
+        overall = _solve(*_sums(normal, seen, weight * trust, everywhere, 1), PRIOR_M)[0]
+        rest = seen - normal @ overall
+        usual = max(1.4826 * _weighted_median(np.abs(rest), weight), USUAL_MIN_M)
+        # A wrong road far away must not pull its surroundings over to it.
+        trust = 4.0 / (3.0 + (rest / usual) ** 2)
     grid = np.floor((samples.point_m - samples.point_m.min(axis=0)) / CELL_M).astype(np.int64)
     cell, of = np.unique(grid, axis=0, return_inverse=True)
     of = of.ravel()
-    rest = seen - normal @ overall
-    # A wrong road far away must not pull its surroundings over to it.
-    usual = max(1.4826 * _weighted_median(np.abs(rest), weight), USUAL_MIN_M)
-    sums = _sums(normal, rest, weight * 4.0 / (3.0 + (rest / usual) ** 2), of[rows], len(cell))
+    sums = _sums(normal, rest, weight * trust, of[rows], len(cell))
     kernel = _kernel(np.asarray(cell * CELL_M, dtype=np.float64))
-    shift = overall + _solve(kernel @ sums[0], kernel @ sums[1], PRIOR_M)[of]
+    prior = LOCAL_PRIOR_M * (LOCAL_SCATTER_M / usual) ** 2
+    shift = overall + _solve(kernel @ sums[0], kernel @ sums[1], prior)[of]
     left = np.abs(seen - np.einsum("ij,ij->i", normal, shift[rows]))
     sigma = 1.4826 * _weighted_median(left, weight)
     return shift, float(np.clip(1.25 * sigma, SIGMA_MIN_M, SIGMA_MAX_M))

@@ -40,6 +40,7 @@ class Samples:
     turn_deg : (n,) float64, how far a junction connector turns in all, 0 for other lanes
     connector : (n,) bool; stray : (n,) bool, of a short lanelet that nothing leads to or from
 
+    lanes : (n,) int64, lanes side by side in the direction of travel
     level : (n,) int64, +1 where another carriageway runs below, -1 where one runs above, else 0
 
     edges : (e, 2) int64, samples that follow each other; edge_m : (e,) float64, metres between them
@@ -60,6 +61,7 @@ class Samples:
     turn_deg: Floats
     connector: Bools
     stray: Bools
+    lanes: Ints
     level: Ints
     edges: Ints
     edge_m: Floats
@@ -100,6 +102,7 @@ def samples_of(centerlines: Centerlines, lanelet_map: LaneletMap, spacing_m: flo
         turn_deg=turn[bundle],
         connector=connector[bundle],
         stray=stray[bundle],
+        lanes=np.bincount(home, minlength=len(count))[bundle],
         level=_levels(point, _heights_m(lanelet_map, lanelets, home, offset)),
         edges=edges,
         edge_m=edge_m,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,7 +11,7 @@ import shapely
 from flexmap_tasks.config import PathParams
 from flexmap_tasks.geometry.lanelets import offsets
 from flexmap_tasks.geometry.segments import first_of_groups, project
-from flexmap_tasks.matching.paths.road_graph import RoadGraph, layer_of, tag
+from flexmap_tasks.matching.paths.road_graph import RoadGraph, layer_of, one_way_of, tag
 from flexmap_tasks.matching.paths.samples import Samples
 from flexmap_tasks.model.arrays import Bools, Floats, Ints
 from flexmap_tasks.model.maps import RoadNetwork
@@ -19,6 +20,8 @@ TURN_ABSENCE, STRAY_ABSENCE = 0.8, 0.5
 """By how much less likely than elsewhere a road is at a right-angled turn; how likely for a stray lanelet."""
 TURN_ANGLE = 0.4
 """Degrees by which headings scatter more in a junction connector, per degree that it turns."""
+SMALL_HIGHWAYS = ("service", "living_street", "track", "road")
+COUNT = re.compile(r"[1-9]")
 ANGLE_MISFIT_MAX = 8.0
 """Heading alone cannot say more than this against a place."""
 
@@ -92,14 +95,23 @@ def near_costs(
     np.maximum.at(highest, near.sample, layer)
     np.minimum.at(lowest, near.sample, layer)
     level = samples.level[near.sample]
+    narrow = (samples.lanes > 1)[near.sample] & _narrow(network)[graph.way[near.segment]]
     wrong = ((level > 0) & (layer < highest[near.sample])) | ((level < 0) & (layer > lowest[near.sample]))
     cost: Floats = link_costs(network, graph, params)[link] + params.level_cost * wrong
-    return cost
+    return cost + params.narrow_cost * narrow
+
+
+def _narrow(network: RoadNetwork) -> Bools:
+    """(w,) ways with one lane in each direction at most, by OSM's count of lanes, else by their class."""
+    text, number = np.unique(network.tags.column("lanes").astype(str), return_inverse=True)
+    lanes = np.array([int(t) if COUNT.fullmatch(t) else 0 for t in text], dtype=np.int64)[number.ravel()]
+    small = np.isin(network.tags.column("highway").astype(str), SMALL_HIGHWAYS)
+    return np.asarray(np.where(lanes > 0, lanes <= np.where(one_way_of(network) != 0, 1, 2), small))
 
 
 def states_of(
     samples: Samples, graph: RoadGraph, near: Near, near_cost: Floats, shift_m: Floats, sigma_m: float,
-    params: PathParams,
+    params: PathParams, absent_cost: float,
 ) -> States:  # fmt: skip
     """Best place per sample and link, the cheapest `params.candidates` of each sample, and no counterpart.
 
@@ -125,7 +137,7 @@ def states_of(
     )  # fmt: skip
     out.link[at], out.direction[at], out.s_m[at] = fits.link[place], fits.direction[place], fits.s_m[place]
     out.cost[at] = weight[of] * fits.cost[place]
-    out.cost[offset[1:] - 1] = weight * params.absent_cost * _absence(samples)
+    out.cost[offset[1:] - 1] = weight * absent_cost * _absence(samples)
     out.offset_m[at], out.angle_deg[at] = fits.offset_m[place], fits.angle_deg[place]
     return out
 
