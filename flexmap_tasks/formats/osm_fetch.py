@@ -47,10 +47,10 @@ def download_extract(
 
 
 def overpass_query(box: GeoBox, timeout_s: float) -> str:
-    """All highways in the box with their nodes, versions and times."""
+    """All highways and uses of land in the box with their nodes, versions and times."""
     limits = f"[out:xml][timeout:{max(1, int(timeout_s))}][maxsize:{MAX_BYTES}]"
     where = f"{box.south_deg:.7f},{box.west_deg:.7f},{box.north_deg:.7f},{box.east_deg:.7f}"
-    return f'{limits};way["highway"]({where});(._;>;);out meta;'
+    return f'{limits};(way["highway"]({where});way["landuse"]({where}););(._;>;);out meta;'
 
 
 def _in_parts(client: httpx.Client, name: str, address: str, box: GeoBox) -> Iterator[bytes]:

@@ -14,6 +14,8 @@ from flexmap_tasks.formats.osm_roads_elements import (
     NewestWays,
     RoadElements,
     RoadWay,
+    city_limit,
+    land_use,
     newest_nodes,
     utc_timestamp,
 )
@@ -29,8 +31,11 @@ def read_pbf_roads(source: Source, highways: frozenset[str]) -> RoadElements:
         newest = _ways(source, highways)
         wanted = {ref for way in newest.ways.values() for ref in way.refs}
         newest_position: dict[int, tuple[int, float, float]] = {}
+        limits: dict[int, int] = {}
         for node in _elements(source, osmium.osm.NODE):
             if node.id in wanted:
+                sense = city_limit({tag.k: tag.v for tag in node.tags}) if len(node.tags) else 0
+                limits |= {node.id: sense} if sense else {}
                 state = _state(node)
                 newest_position[node.id] = max(newest_position.get(node.id, state), state)
     except InputError:
@@ -40,7 +45,8 @@ def read_pbf_roads(source: Source, highways: frozenset[str]) -> RoadElements:
         raise InputError(source.name, rule) from None
     ids = np.array(list(newest_position), dtype=np.int64)
     lonlat = np.array([state[1:] for state in newest_position.values()], dtype=np.float64).reshape(-1, 2)
-    return RoadElements(newest.ways, *newest_nodes(ids, np.zeros_like(ids), lonlat), "")
+    nodes = newest_nodes(ids, np.zeros_like(ids), lonlat)
+    return RoadElements(newest.ways, *nodes, "", newest.lands(), limits)
 
 
 def _ways(source: Source, highways: frozenset[str]) -> NewestWays:
@@ -49,17 +55,27 @@ def _ways(source: Source, highways: frozenset[str]) -> NewestWays:
     for way in _elements(source, osmium.osm.WAY):
         version = max(way.version, 0)
         road = way.visible and way.tags.get("highway") in highways
-        budget -= 1 + (len(way.nodes) if road else 0)
+        land = way.visible and (not len(way.tags) or "landuse" in way.tags)
+        budget -= 1 + (len(way.nodes) if road or land else 0)
         if budget < 0:
             rule = "the file claims far more ways and nodes than its size can hold; it is no OpenStreetMap extract"
             raise InputError(source.name, rule, f"way {way.id}")
-        newest.add(way.id, RoadWay(version, "", False))
+        tags = {tag.k: tag.v for tag in way.tags} if road or land else {}
+        bounds = land and newest.bounds_land(tags)
+        newest.add(way.id, RoadWay(version, "", False, tuple(n.ref for n in way.nodes) if bounds else ()))
+        use = land_use(tags)
+        if bounds and use is not None:
+            newest.uses[way.id] = use
         if not road:
             continue
-        tags = {tag.k: tag.v for tag in way.tags}
         if newest.is_road(tags):
             refs = tuple(node.ref for node in way.nodes)
             newest.add(way.id, RoadWay(version, _stamp(way), True, refs, tuple(sorted(tags.items()))))
+    for relation in _elements(source, osmium.osm.RELATION):
+        use = land_use({"landuse": relation.tags.get("landuse")}) if relation.visible else None
+        if use is not None:
+            outer = tuple(m.ref for m in relation.members if m.type == "w" and m.role != "inner")
+            newest.groups.append((use, outer))
     return newest
 
 

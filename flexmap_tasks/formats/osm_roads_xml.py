@@ -18,11 +18,14 @@ from flexmap_tasks.formats.osm_roads_elements import (
     NewestWays,
     RoadElements,
     RoadWay,
+    city_limit,
+    land_use,
     newest_nodes,
     utc_timestamp,
 )
 
 MAX_REMARK = 500
+SIGN_KEYS = ("traffic_sign", "traffic_sign:forward", "traffic_sign:backward", "direction", "city_limit")
 
 
 def read_xml_roads(name: str, pieces: Iterable[bytes], highways: frozenset[str]) -> RoadElements:
@@ -56,6 +59,8 @@ class _Reader:
         self._way: dict[str, str] | None = None
         self._refs: list[str] = []
         self._tags: dict[str, str] = {}
+        self._relation: list[int] | None = None
+        self._signs: dict[int, dict[str, str]] = {}
         self._remark: list[str] = []
         parser.StartElementHandler = self._root
         parser.StartDoctypeDeclHandler = self._refuse
@@ -79,10 +84,22 @@ class _Reader:
             if self._way is not None:
                 self._refs.append(attributes.get("ref", ""))
         elif tag == "tag":
-            if self._way is not None:
+            if self._way is not None or self._relation is not None:
                 self._tags[attributes.get("k", "")] = attributes.get("v", "")
+            elif attributes.get("k") in SIGN_KEYS and self._id:
+                self._signs.setdefault(self._id[-1], {})[attributes["k"]] = attributes.get("v", "")
         elif tag == "way":
             self._way, self._refs, self._tags = attributes, [], {}
+            self._parser.EndElementHandler = self._end
+        elif tag == "member":
+            if (
+                self._relation is not None
+                and attributes.get("type") == "way"
+                and attributes.get("role") != "inner"
+            ):
+                self._relation.append(_reference(attributes.get("ref", "")))
+        elif tag == "relation":
+            self._relation, self._tags = [], {}
             self._parser.EndElementHandler = self._end
         elif tag == "remark":
             self._parser.CharacterDataHandler = self._text
@@ -96,6 +113,11 @@ class _Reader:
         if tag == "way" and self._way is not None:
             self._finish_way(self._way)
             self._way = None
+        elif tag == "relation" and self._relation is not None:
+            use = land_use(self._tags)
+            if use is not None:
+                self._newest.groups.append((use, tuple(self._relation)))
+            self._relation = None
         elif tag == "remark":
             self._parser.CharacterDataHandler = None
         else:
@@ -129,8 +151,13 @@ class _Reader:
             stamp = utc_timestamp(attributes.get("timestamp", ""))
             refs, tags = tuple(map(_reference, self._refs)), tuple(sorted(self._tags.items()))
             self._newest.add(way_id, RoadWay(version, stamp, True, refs, tags))
-        else:
-            self._newest.add(way_id, RoadWay(version, "", False))
+            return
+        bounds = not _deleted(attributes) and self._newest.bounds_land(self._tags)
+        refs = tuple(map(_reference, self._refs)) if bounds else ()
+        use = land_use(self._tags)
+        if bounds and use is not None:
+            self._newest.uses[way_id] = use
+        self._newest.add(way_id, RoadWay(version, "", False, refs))
 
     def finish(self) -> RoadElements:
         """All that was read."""
@@ -138,7 +165,15 @@ class _Reader:
         versions = np.frombuffer(self._version, dtype=np.int64)
         lonlat = np.column_stack([np.frombuffer(self._lon), np.frombuffer(self._lat)])
         node_id, lonlat = newest_nodes(ids, versions, lonlat)
-        return RoadElements(self._newest.ways, node_id, lonlat, " ".join("".join(self._remark).split()))
+        limits = {node: city_limit(tags) for node, tags in self._signs.items()}
+        return RoadElements(
+            self._newest.ways,
+            node_id,
+            lonlat,
+            " ".join("".join(self._remark).split()),
+            self._newest.lands(),
+            {node: sense for node, sense in limits.items() if sense},
+        )
 
 
 def _deleted(attributes: dict[str, str]) -> bool:

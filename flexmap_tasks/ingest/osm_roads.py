@@ -11,6 +11,7 @@ from flexmap_tasks.engine.stage import stage
 from flexmap_tasks.errors import InputError
 from flexmap_tasks.formats.osm_roads import read_road_elements
 from flexmap_tasks.formats.osm_roads_elements import RoadElements
+from flexmap_tasks.ingest.surroundings import inside_by_signs, land_along
 from flexmap_tasks.model.arrays import Bools, Floats, Ints, strings
 from flexmap_tasks.model.maps import RoadNetwork
 from flexmap_tasks.model.osm import Tags
@@ -50,11 +51,13 @@ def road_network(elements: RoadElements) -> RoadNetwork:
     rows = np.flatnonzero(left >= 2)
     absent = np.bincount(owner[~present], minlength=len(ways))
     chosen = [ways[i] for i in rows.tolist()]
+    offset = np.concatenate([[0], np.cumsum(left[rows])]).astype(np.int64)
+    built_up, open_land = land_along(offset, lonlat[keep], elements)
     return RoadNetwork(
         way_id=ids[rows],
         version=np.array([way.version for way in chosen], dtype=np.int64),
         timestamp=strings(way.timestamp for way in chosen),
-        offset=np.concatenate([[0], np.cumsum(left[rows])]).astype(np.int64),
+        offset=offset,
         node_id=ref[keep],
         lonlat_deg=lonlat[keep],
         tags=Tags.of(dict(way.tags) for way in chosen),
@@ -62,6 +65,9 @@ def road_network(elements: RoadElements) -> RoadNetwork:
             f"{absent[i]} of its {size[i]} nodes are missing from the extract" if absent[i] else ""
             for i in rows.tolist()
         ),
+        built_up=built_up,
+        open_land=open_land,
+        city_limit=inside_by_signs(offset, ref[keep], elements.city_limits),
     )
 
 

@@ -79,6 +79,8 @@ class RoadNetwork:
     lonlat_deg : (m, 2) float64, WGS84
     tags : all tags of every way, keys in order
     note : (w,) str, what had to be repaired, "" where nothing; None where nobody looked
+    built_up, open_land : (w,) float64, shares of the way's length along towns, and between them; None as above
+    city_limit : (w,) int64, +1 where signs put the way inside a town, -1 outside, 0 none does; None as above
     """
 
     lists: ClassVar[tuple[str, ...]] = ("node_id", "lonlat_deg")
@@ -91,6 +93,9 @@ class RoadNetwork:
     lonlat_deg: Floats
     tags: Tags
     note: Strings | None = None
+    built_up: Floats | None = None
+    open_land: Floats | None = None
+    city_limit: Ints | None = None
 
     def __len__(self) -> int:
         return len(self.way_id)

@@ -10,12 +10,14 @@ import numpy as np
 from flexmap_tasks.config import TransferParams, TransferRule
 from flexmap_tasks.model.arrays import Bools, Floats, Ints
 from flexmap_tasks.model.conflation import Matches
-from flexmap_tasks.model.maps import LaneletMap, PlacedRoads
+from flexmap_tasks.model.maps import LaneletMap, PlacedRoads, RoadNetwork
 from flexmap_tasks.model.osm import Tags, rows_of
 from flexmap_tasks.transfer.facts import LaneletFacts
 from flexmap_tasks.transfer.values import (
     CLOSED_SUBTYPES,
     NOTHING,
+    NOWHERE,
+    Around,
     Offer,
     offer,
     one_way_sense,
@@ -117,10 +119,11 @@ def offers_of(rows: Rows, facts: LaneletFacts, roads: PlacedRoads, params: Trans
     found = []
     for pair in pairs.tolist():
         tags = roads.network.tags.of_element(pair // 3)
-        found.append([offer(rule, tags, pair % 3 - 1, params) for rule in params.rules])
+        around = _around(roads.network, pair // 3)
+        found.append([offer(rule, tags, pair % 3 - 1, params, around) for rule in params.rules])
     plain = [[replace(o, also="") if o.also else o for o in line] for line in found]
     values = sorted(
-        {o for line in plain for o in line} | {NOTHING}, key=lambda o: (o.value, o.weak, o.problem)
+        {o for line in plain for o in line} | {NOTHING}, key=lambda o: (o.value, o.weak, o.problem, o.why)
     )
     notes = sorted({o.also for line in found for o in line} | {""})
     value_code, note_code = {o: i for i, o in enumerate(values)}, {n: i for i, n in enumerate(notes)}
@@ -128,6 +131,12 @@ def offers_of(rows: Rows, facts: LaneletFacts, roads: PlacedRoads, params: Trans
     code = np.array([[value_code[o] for o in line] for line in plain], dtype=np.int64).reshape(shape)
     note = np.array([[note_code[o.also] for o in line] for line in found], dtype=np.int64).reshape(shape)
     return Offers(code[inverse], note[inverse], tuple(values), tuple(notes))
+
+
+def _around(network: RoadNetwork, row: int) -> Around:
+    if network.built_up is None or network.open_land is None or network.city_limit is None:
+        return NOWHERE
+    return Around(float(network.built_up[row]), float(network.open_land[row]), int(network.city_limit[row]))
 
 
 @dataclass(frozen=True, slots=True)
@@ -230,7 +239,7 @@ def decide(rule: TransferRule, offered: Offer, lanelet: Case) -> Decision:
             "review", offered.value, f"a speed limit rule of the map says {ruled}, a tag has no effect"
         )
     action, reason = _edited(rule, lanelet, offered.value) or _held(rule, old, offered.value)
-    return Decision(action, offered.value, reason or ("an assumption" if offered.weak else ""))
+    return Decision(action, offered.value, reason or offered.why)
 
 
 def _edited(rule: TransferRule, lanelet: Case, new: str) -> tuple[str, str] | None:

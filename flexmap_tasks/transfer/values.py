@@ -35,6 +35,13 @@ _NONURBAN = re.compile(r"(?:[a-z]{2}:)?(?:rural|motorway|trunk|nsl_single|nsl_du
 _YES, _NO = ("yes", "true", "1"), ("no", "false", "0")
 
 
+TOWN_SHARE = 0.5
+"""Land along more than half of a road tells what the road runs through."""
+TOWN_MAX_KMH = 60.0
+"""No road through a town is posted faster: a faster one with open land around is outside."""
+TOWN_HIGHWAYS = ("residential", "living_street", "pedestrian")
+
+
 Zones: TypeAlias = Mapping[str, float | Literal["none"]]
 """Limits behind codes such as `de:urban`, km/h."""
 
@@ -44,7 +51,7 @@ class Offer:
     """What OSM offers for one attribute of a lanelet.
 
     value : the text to write; "" when OSM says nothing; what OSM says when there is a problem
-    weak : an assumption that only fills a gap
+    weak : an assumption that only fills a gap; why : what it rests on
     problem : why a person must look at it; such a value is never written
     also : a further value that holds only at times, for a person
     """
@@ -53,12 +60,31 @@ class Offer:
     weak: bool = False
     problem: str = ""
     also: str = ""
+    why: str = ""
 
 
 NOTHING = Offer()
 
 
-def offer(rule: TransferRule, tags: Mapping[str, str], sense: int, params: TransferParams) -> Offer:
+@dataclass(frozen=True, slots=True)
+class Around:
+    """What lies along a way, see `RoadNetwork`: shares of its length, and the side of city limits it is on."""
+
+    built_up: float = 0.0
+    open_land: float = 0.0
+    city_limit: int = 0
+
+
+NOWHERE = Around()
+
+
+def offer(
+    rule: TransferRule,
+    tags: Mapping[str, str],
+    sense: int,
+    params: TransferParams,
+    around: Around = NOWHERE,
+) -> Offer:
     """What a way with these tags offers a lanelet that runs along it (+1), against it (-1) or both ways (0)."""
     match rule.parser:
         case "speed":
@@ -66,7 +92,7 @@ def offer(rule: TransferRule, tags: Mapping[str, str], sense: int, params: Trans
         case "subtype":
             return _subtype(_directed(rule, tags, 1), params)
         case "location":
-            return _location(tags, rule.key, params)
+            return _location(tags, rule.key, params, around)
         case "oneway":
             return _one_way(tags, sense)
         case "word":
@@ -189,23 +215,49 @@ def _subtype(highway: str, params: TransferParams) -> Offer:
     return Offer(subtype) if subtype else NOTHING
 
 
-def _location(tags: Mapping[str, str], key: str, params: TransferParams) -> Offer:
-    """From zone tags, living streets, motorways and trunks; the paper's `urban` only as an assumption."""
+def _location(tags: Mapping[str, str], key: str, params: TransferParams, around: Around) -> Offer:
+    """From zone tags, signs, living streets, motorways and trunks; else an assumption from land, class and speed."""
     highway = tags.get("highway", "").strip()
     if not tags.get(key, "").strip():
         return NOTHING
-    votes = set()
-    for zone_key in _ZONE_KEYS:
-        value = tags.get(zone_key, "").strip().lower()
-        votes |= {"urban"} if _URBAN.match(value) else {"nonurban"} if _NONURBAN.match(value) else set()
-    if not votes and highway == "living_street":
-        votes = {"urban"}
-    if not votes and highway in NONURBAN_HIGHWAYS:
-        speed = speed_kmh(tags.get("maxspeed", ""), params.zone_speeds_kmh)
-        votes = {"nonurban"} if speed is None or speed > 50.0 else set()
+    votes = {
+        "urban" if _URBAN.match(value) else "nonurban"
+        for zone_key in _ZONE_KEYS
+        if _URBAN.match(value := tags.get(zone_key, "").strip().lower()) or _NONURBAN.match(value)
+    }
     if len(votes) > 1:
         return Offer(" and ".join(sorted(votes)), problem="the zone tags contradict each other")
-    return Offer(votes.pop()) if votes else Offer("urban", weak=True)
+    speed = _fastest_kmh(tags, params)
+    certain = (
+        *votes,
+        *(("urban",) if around.city_limit > 0 or highway == "living_street" else ()),
+        *(("nonurban",) if around.city_limit < 0 else ()),
+        *(("nonurban",) if highway in NONURBAN_HIGHWAYS and not speed <= 50.0 else ()),
+        *(("nonurban",) if around.open_land > TOWN_SHARE and speed > TOWN_MAX_KMH else ()),
+    )
+    return Offer(certain[0]) if certain else _assumed_location(highway, speed, around)
+
+
+def _assumed_location(highway: str, speed_kmh: float, around: Around) -> Offer:
+    """What is likely; nothing where neither land nor class nor speed speaks."""
+    cases = (
+        (around.built_up > TOWN_SHARE, "urban", "built-up land along the road"),
+        (around.open_land > TOWN_SHARE, "nonurban", "open land along the road"),
+        (highway in TOWN_HIGHWAYS, "urban", "the class of the road"),
+        (speed_kmh > TOWN_MAX_KMH, "nonurban", "the speed limit"),
+        (speed_kmh <= 50.0, "urban", "the speed limit"),
+    )
+    for holds, value, why in cases:
+        if holds:
+            return Offer(value, weak=True, why=f"an assumption from {why}")
+    return NOTHING
+
+
+def _fastest_kmh(tags: Mapping[str, str], params: TransferParams) -> float:
+    """The greatest limit of both directions, NaN where OSM names none that can be read."""
+    keys = ("maxspeed", "maxspeed:forward", "maxspeed:backward")
+    speeds = [speed_kmh(tags[key], params.zone_speeds_kmh) for key in keys if tags.get(key, "").strip()]
+    return max((s for s in speeds if s is not None), default=math.nan)
 
 
 def _one_way(tags: Mapping[str, str], sense: int) -> Offer:

@@ -6,6 +6,7 @@ import pytest
 
 from flexmap_tasks.config import TransferParams, TransferRule
 from flexmap_tasks.transfer.values import (
+    Around,
     Offer,
     count,
     format_kmh,
@@ -107,8 +108,14 @@ def test_a_conditional_limit_is_told_beside_the_plain_one() -> None:
         ({"highway": "motorway"}, Offer("nonurban")),
         ({"highway": "trunk_link", "maxspeed": "80"}, Offer("nonurban")),
         ({"highway": "trunk", "maxspeed": "50"}, Offer("urban", weak=True)),
-        ({"highway": "primary"}, Offer("urban", weak=True)),
-        ({"highway": "primary", "maxspeed": "100"}, Offer("urban", weak=True)),
+        ({"highway": "primary"}, Offer()),
+        ({"highway": "primary", "maxspeed": "100"}, Offer("nonurban", weak=True)),
+        (
+            {"highway": "tertiary", "maxspeed:forward": "70", "maxspeed:backward": "50"},
+            Offer("nonurban", weak=True),
+        ),
+        ({"highway": "tertiary", "maxspeed": "30"}, Offer("urban", weak=True)),
+        ({"highway": "tertiary", "maxspeed": "60"}, Offer()),
         ({"highway": "primary", "zone:traffic": "DE:rural"}, Offer("nonurban")),
         ({"highway": "primary", "source:maxspeed": "DE:urban"}, Offer("urban")),
         ({"highway": "trunk", "source:maxspeed": "DE:urban"}, Offer("urban")),
@@ -119,7 +126,29 @@ def test_a_conditional_limit_is_told_beside_the_plain_one() -> None:
     ],
 )
 def test_location(tags: dict[str, str], expected: Offer) -> None:
-    assert offer(LOCATION, tags, 1, PARAMS) == expected
+    found = offer(LOCATION, tags, 1, PARAMS)
+    assert (found.value, found.weak, found.problem) == (expected.value, expected.weak, "")
+
+
+@pytest.mark.parametrize(
+    ("around", "tags", "value", "weak"),
+    [
+        (Around(built_up=0.8), {}, "urban", True),
+        (Around(open_land=0.8), {}, "nonurban", True),
+        (Around(built_up=0.3, open_land=0.3), {}, "", False),
+        (Around(open_land=0.8), {"maxspeed": "100"}, "nonurban", False),
+        (Around(built_up=0.8), {"maxspeed": "100"}, "urban", True),
+        (Around(city_limit=1), {"maxspeed": "100"}, "urban", False),
+        (Around(city_limit=-1), {"maxspeed": "50"}, "nonurban", False),
+        (Around(city_limit=-1), {"zone:traffic": "DE:urban"}, "urban", False),
+        (Around(built_up=1.0), {"source:maxspeed": "DE:rural"}, "nonurban", False),
+    ],
+)
+def test_location_by_what_lies_along_the_road(
+    around: Around, tags: dict[str, str], value: str, weak: bool
+) -> None:
+    found = offer(LOCATION, {"highway": "secondary"} | tags, 1, PARAMS, around)
+    assert (found.value, found.weak, found.problem) == (value, weak, "")
 
 
 def test_contradicting_zones_are_for_a_person() -> None:
