@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
 
 from flexmap_tasks.alignment.align_track import align_track
 from flexmap_tasks.alignment.automatic_points import automatic_control_points
@@ -17,39 +16,25 @@ from flexmap_tasks.alignment.rubber_sheet import rigid_warp, rubber_sheet
 from flexmap_tasks.alignment.umeyama import umeyama
 from flexmap_tasks.config import (
     AutomaticControlPointsParams,
-    CloudCheckParams,
     FlexMapConfig,
     GnssParams,
     GraphHeldOutParams,
     OsmInput,
     OsmRoadsParams,
     PairParams,
-    PcdParams,
-    PointCloudParams,
     ReportParams,
-    ScanParams,
-    ScanTilesParams,
     SlamParams,
 )
 from flexmap_tasks.engine.graph import Graph, Ref, SourceRef
 from flexmap_tasks.evaluation.quality import evaluate
 from flexmap_tasks.georeferencing.bundle import georeference
-from flexmap_tasks.georeferencing.cloud import (
-    check_cloud,
-    merge_tile,
-    pointcloud_metadata,
-    tile_extent,
-    warp_tile,
-)
-from flexmap_tasks.georeferencing.frame import cloud_frame, projector_file
 from flexmap_tasks.georeferencing.map import georeference_map
 from flexmap_tasks.ingest.gnss import ingest_gnss
 from flexmap_tasks.ingest.lanelet_map import ingest_lanelet_map
 from flexmap_tasks.ingest.osm_fetch import fetch_osm, track_box
 from flexmap_tasks.ingest.osm_roads import ingest_osm_roads
-from flexmap_tasks.ingest.point_cloud import ingest_point_cloud
-from flexmap_tasks.ingest.scans import ingest_scans
 from flexmap_tasks.ingest.slam import ingest_slam
+from flexmap_tasks.pipeline_cloud import georeference_cloud, ingest_cloud
 from flexmap_tasks.pipeline_conflation import Maps, conflate, with_edits
 from flexmap_tasks.pipeline_parts import Adjusted, Aligned, Cloud, Conflated, Drawn, Drive, only
 from flexmap_tasks.report.bundle_check import check_bundle
@@ -65,7 +50,7 @@ def map_update(config: FlexMapConfig) -> Graph:
     lanelets = recorded = moved = None
     if config.lanelet_map is not None:
         lanelets = recorded = graph.run(ingest_lanelet_map, source=SourceRef(config.lanelet_map.file))
-    tiles = _ingest_cloud(graph, config, slam)
+    tiles = ingest_cloud(graph, config, slam)
     roads = _ingest_roads(graph, config.osm, fixes)
 
     aligned = _align(graph, config, fixes, slam, lanelets, tiles)
@@ -92,7 +77,7 @@ def map_update(config: FlexMapConfig) -> Graph:
         graph.publish(".", bundle)
         graph.publish("map_findings.parquet", lanelets.field("findings"))
     if tiles is not None:
-        cloud = _georeference_cloud(graph, config, tiles, aligned, bundle)
+        cloud = georeference_cloud(graph, config, tiles, aligned, bundle)
     quality = _evaluate(
         graph, config, aligned, lanelets, conflated, {"recorded_map": recorded, "moved_map": moved}
     )
@@ -100,17 +85,6 @@ def map_update(config: FlexMapConfig) -> Graph:
     noticed = cloud.findings if cloud else None
     _report(graph, config, Drawn(recorded, lanelets, roads, aligned, conflated, quality, checked, noticed))
     return graph
-
-
-def _ingest_cloud(graph: Graph, config: FlexMapConfig, slam: Ref) -> Ref | None:
-    cloud = config.point_cloud
-    if cloud is None:
-        return None
-    params, source = only(PointCloudParams, cloud), SourceRef(cloud.file)
-    if not cloud.has_scans:
-        return graph.run(ingest_point_cloud, params, source=source)
-    scans = ScanTilesParams(tiles=params, scans=only(ScanParams, cloud), poses=only(SlamParams, config.slam))
-    return graph.run(ingest_scans, scans, source=source, slam=slam, poses=SourceRef(config.slam.file))
 
 
 def _ingest_roads(graph: Graph, osm: OsmInput | None, fixes: Ref) -> Ref | None:
@@ -225,48 +199,6 @@ def _adjust(
         )
         graph.publish("held_out.parquet", withheld)
     return Adjusted(adjusted, antenna, withheld)
-
-
-def _georeference_cloud(
-    graph: Graph, config: FlexMapConfig, tiles: Ref, aligned: Aligned, bundle: Ref | None
-) -> Cloud:
-    assert config.point_cloud is not None  # noqa: S101 - there are tiles
-    params, moved = only(PointCloudParams, config.point_cloud), config.alignment.master == "gnss"
-
-    def touched(key: str, values: Mapping[str, Any]) -> Mapping[str, Any]:
-        """The part of the warp that moves one tile."""
-        return {"warp": values["warp"].restrict(tile_extent(key, params))} if "warp" in values else {}
-
-    frame = None
-    if moved and config.georeference.projector == "MGRS":
-        frame = graph.run(cloud_frame, config.georeference, projection=aligned.projection, bundle=bundle)
-    warped = graph.run_each(
-        warp_tile,
-        "tile",
-        params,
-        tile=tiles.field("tiles"),
-        warp=aligned.warp if moved else None,
-        frame=frame,
-        narrow=touched,
-    )
-    merged = graph.run_each(
-        merge_tile, "parts", only(PcdParams, config.point_cloud), parts=warped.transpose()
-    )
-    graph.publish("pointcloud_map/", merged)
-    metadata = graph.run(pointcloud_metadata, params, tiles=merged.keys())
-    graph.publish(".", metadata)
-    if bundle is None and moved:
-        graph.publish(".", graph.run(projector_file, config.georeference, projection=aligned.projection))
-    found = graph.run(
-        check_cloud,
-        only(CloudCheckParams, config.point_cloud),
-        found=tiles.field("findings"),
-        index=tiles.field("index"),
-        slam=aligned.slam,
-        tiles=merged.keys(),
-    )
-    graph.publish("cloud_findings.parquet", found)
-    return Cloud(metadata, merged.keys(), found)
 
 
 def _check_bundle(graph: Graph, bundle: Ref, cloud: Cloud | None) -> Ref:
