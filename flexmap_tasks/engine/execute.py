@@ -3,25 +3,26 @@
 from __future__ import annotations
 
 import contextlib
-import os
 import socket
 import time
 import typing
-from collections.abc import Callable, Iterable, Mapping
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 from typing import Any
 
+from flexmap_tasks.config import Params
 from flexmap_tasks.engine.fingerprint import learn_code
 from flexmap_tasks.engine.graph import Input, Node, SourceRef
+from flexmap_tasks.engine.items import ItemJob, ItemStage, collect, item_runner, prepare
 from flexmap_tasks.engine.keys import action_key, arguments, input_types, preimage
 from flexmap_tasks.engine.sources import Stamp, file_stamp, local_path, source_artifact
+from flexmap_tasks.engine.stage import AnyStage
 from flexmap_tasks.errors import InputError, StoreError
 from flexmap_tasks.formats.artifacts import decode, encode
 from flexmap_tasks.model.arrays import strings
 from flexmap_tasks.model.source import Source
-from flexmap_tasks.store.artifact import Artifact, Blob, canonical_json, digest_of
+from flexmap_tasks.store.artifact import Artifact, canonical_json, digest_of
 from flexmap_tasks.store.store import ActionRecord, ArtifactFiles, Store
 
 CODE_MEMO = "memo/code.json"
@@ -65,6 +66,7 @@ class Engine:
     def __init__(self, store: Store) -> None:
         self.store = store
         self._values: dict[tuple[str, str, str], Any] = {}
+        self._item_runner = item_runner()
         memo = learn_code(store.backend.get(CODE_MEMO))
         if memo is not None:
             with contextlib.suppress(StoreError):  # a plan may be asked of a store that is read-only
@@ -106,7 +108,7 @@ class Engine:
             return Outcome(node.name, record.key, record.output, cached=True, seconds=record.seconds)
         if node.each:
             return self._run_each(node, bound, image, progress or (lambda _done, _all: None))
-        record = self._compute(node, image, self._load_inputs(node, bound))
+        record = self.compute(node.stage, node.params, image, self._load_inputs(node, bound))
         _check_unchanged(bound)
         record = self._remember(node, record)
         return Outcome(node.name, record.key, record.output, cached=False, seconds=record.seconds, computed=1)
@@ -128,13 +130,16 @@ class Engine:
         kinds = input_types(node.stage)
         return {name: self.load(b, kinds[name]) for name, b in bound.items()}
 
-    def _compute(self, node: Node, image: Mapping[str, Any], values: Mapping[str, Any]) -> ActionRecord:
+    def compute(
+        self, stage: AnyStage, params: Params | None, image: Mapping[str, Any], values: Mapping[str, Any]
+    ) -> ActionRecord:
+        """Call the stage and store what it makes; the record is not put there yet."""
         started, clock = datetime.now(UTC), time.perf_counter()
-        given = arguments(node.stage, values)
-        if node.params is not None:
-            given["params"] = node.params
-        value = node.stage.function(**given)
-        files = {path: self.store.put_blob(content) for path, content in encode(value, node.stage.artifact)}
+        given = arguments(stage, values)
+        if params is not None:
+            given["params"] = params
+        value = stage.function(**given)
+        files = {path: self.store.put_blob(content) for path, content in encode(value, stage.artifact)}
         seconds = time.perf_counter() - clock
         host = socket.gethostname()
         key = action_key(image)
@@ -154,16 +159,18 @@ class Engine:
         others = {n: b for n, b in bound.items() if n != node.each}
         values = {n: self.load(b, input_types(node.stage)[n]) for n, b in others.items()}
 
-        def one(key: str) -> tuple[ActionRecord, bool]:
-            return self._run_item(node, key, items[key], others, values)
-
-        done: list[tuple[ActionRecord, bool]] = []
-        with ThreadPoolExecutor(max_workers=os.cpu_count()) as pool:
-            for result in pool.map(one, items):
-                done.append(result)
-                progress(len(done), len(items))
-        files = _collect(node.stage.artifact, zip(items, (r for r, _ in done), strict=True))
-        seconds = sum(r.seconds for r, _ in done)
+        jobs = [prepare(node, key, item, others, values) for key, item in items.items()]
+        done = dict(enumerate(self.store.map(self._find_item, jobs)))
+        found = {i: record for i, record in done.items() if record is not None}
+        missing = [i for i in done if i not in found]
+        progress(len(found), len(items))
+        of = ItemStage(node.stage, node.params, node.each)
+        for number, record in self._item_runner(self, of, [jobs[i] for i in missing]):
+            found[missing[number]] = self._remember(node, record)
+            progress(len(found), len(items))
+        records = [found[i] for i in range(len(jobs))]
+        files = collect(node.stage.artifact, zip(items, records, strict=True))
+        seconds = sum(record.seconds for record in records)
         whole = ActionRecord(
             action_key(image),
             dict(image),
@@ -171,50 +178,24 @@ class Engine:
             seconds,
             started.isoformat(),
             socket.gethostname(),
-            {item: record.key for item, (record, _) in zip(items, done, strict=True)},
+            {item: record.key for item, record in zip(items, records, strict=True)},
         )
         whole = self._remember(node, whole)
-        ran = sum(1 for _, fresh in done if fresh)
         return Outcome(
-            node.name, whole.key, whole.output, cached=False, seconds=seconds, computed=ran, items=len(items)
+            node.name,
+            whole.key,
+            whole.output,
+            cached=False,
+            seconds=seconds,
+            computed=len(missing),
+            items=len(items),
         )
 
-    def _run_item(
-        self, node: Node, key: str, item: Artifact, others: Mapping[str, Bound], values: Mapping[str, Any]
-    ) -> tuple[ActionRecord, bool]:
-        narrowed, digests = dict(values), {n: b.digest for n, b in others.items()}
-        if node.narrow is not None:
-            for name, value in node.narrow(key, values).items():
-                narrowed[name], digests[name] = value, _digest_of_value(value, name)
-        each = str(node.each)
-        image = preimage(node.stage, node.params, {**digests, each: _rename(item, key, each).digest})
-        found = self.store.find(action_key(image))
-        if found is not None:
-            self.store.renew(found)
-            return found, False
-        kind = input_types(node.stage)[each]
-        narrowed[each] = decode(kind, ArtifactFiles(self.store, item), key)
-        return self._remember(node, self._compute(node, image, narrowed)), True
-
-
-def _collect(base: str, records: Iterable[tuple[str, ActionRecord]]) -> dict[str, Blob]:
-    """The items' files under `<base>/<key>...`: a single file keeps only its suffix, a folder becomes the key's."""
-    files: dict[str, Blob] = {}
-    for key, record in records:
-        for path, blob in record.output.files:
-            head, slash, rest = path.partition("/")
-            suffix = f"/{rest}" if slash else "".join(head.partition(".")[1:])
-            files[f"{base}/{key}{suffix}"] = blob
-    return files
-
-
-def _rename(item: Artifact, key: str, name: str) -> Artifact:
-    """The item with its key taken out of the paths, so that equal content has equal digests wherever it lies."""
-    return Artifact.of({f"{name}{path[len(key) :]}": blob for path, blob in item.files})
-
-
-def _digest_of_value(value: Any, name: str) -> str:
-    return digest_of(canonical_json([[path, digest_of(content)] for path, content in encode(value, name)]))
+    def _find_item(self, job: ItemJob) -> ActionRecord | None:
+        record = self.store.find(action_key(job.image))
+        if record is not None:
+            self.store.renew(record)
+        return record
 
 
 def _check_unchanged(bound: Mapping[str, Bound]) -> None:

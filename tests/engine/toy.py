@@ -12,6 +12,7 @@ import numpy as np
 from flexmap_tasks.config import Params
 from flexmap_tasks.engine.graph import Graph, SourceRef
 from flexmap_tasks.engine.stage import stage
+from flexmap_tasks.errors import InputError
 from flexmap_tasks.model.arrays import Floats, Strings
 from flexmap_tasks.model.source import Source
 
@@ -58,6 +59,13 @@ def shift(item: Numbers, offset: Numbers) -> dict[str, Numbers]:
     CALLS.append("shift")
     moved = item.value + offset.value.sum()
     return {"low": Numbers(moved[moved < 10]), "high": Numbers(moved[moved >= 10])}
+
+
+@stage("shifted")
+def refuse_odd(item: Numbers, offset: Numbers) -> dict[str, Numbers]:
+    if (item.value % 2 == 1).any():
+        raise InputError("numbers.txt", "odd numbers are refused", "line 1")
+    return {"low": item, "high": offset}
 
 
 @stage("text")
