@@ -46,7 +46,7 @@ def pose_graph(
     Raises AlignmentError when the tracks do not determine an alignment.
     """
     drive = checked_drive(slam, params)
-    control = _control(points, points_motion, drive)
+    control = control_of(points, points_motion, drive)
     solved = solve(
         drive, gnss, first_stamp(slam), float(np.log(projection.grid_scale_factor)), control, params
     )
@@ -114,7 +114,7 @@ def no_control() -> tuple[Fix, Floats]:
     return Fix(np.empty(0, np.int64), none, none[:, 0], none, none, none[:, 0]), np.empty(0)
 
 
-def _control(points: ControlPoints | None, motion: RigidMotion | None, drive: Drive) -> tuple[Fix, Floats]:
+def control_of(points: ControlPoints | None, motion: RigidMotion | None, drive: Drive) -> tuple[Fix, Floats]:
     """The user's points, each seen from the node it is nearest to."""
     rows = np.empty(0, np.int64) if points is None else np.flatnonzero(points.used)
     if points is None or motion is None or len(rows) == 0:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from flexmap_tasks.model.alignment import ControlPoints, RigidMotion, Warp
@@ -30,7 +32,7 @@ def control_point_page(
 ) -> bytes:
     """The editor for a drive; `warp` is the one now in force, `source_map` in the SLAM frame.
 
-    method : how runs align; whatever it is, the page shows what the pairs do as a rubber sheet
+    method : how runs align, which is how the page shows what the pairs do
     base : digest of the file that `points` come from; places : the editor's pages
     """
     texts = Texts()
@@ -49,20 +51,44 @@ def control_point_page(
     return editor_page(title, data, places)
 
 
-def preview(points: ControlPoints, warp: Warp, slam: Trajectory, gnss: GnssTrack) -> Json:
-    """What a warp would do: the track, its distance to the GNSS line, and how far the sheet stretches."""
-    moved = warp.apply(slam.xyz_m)[:, :2]
-    before, _ = drive.deviation(warp.motion.apply_xy(slam.xyz_m[:, :2]), gnss)
-    after, valid = drive.deviation(moved, gnss)
-    sheet = drive.sheet_of(warp)
+@dataclass(frozen=True, slots=True, eq=False)
+class Effect:
+    """What pairs would do.
+
+    warp : the one they make; antenna_m : (k, 2) where the antenna goes, where the alignment knows its lever arm
+    residual_m, left_out_m : (n,) how far each pair is from its target, and would be if it were not used
+    """
+
+    warp: Warp
+    antenna_m: Floats | None = None
+    residual_m: Floats | None = None
+    left_out_m: Floats | None = None
+
+
+def preview(
+    points: ControlPoints, effect: Effect, motion: RigidMotion, slam: Trajectory, gnss: GnssTrack
+) -> Json:
+    """The track with its distance to the GNSS line, what becomes of every pair, and how far the sheet stretches."""
+    moved = effect.warp.apply(slam.xyz_m)[:, :2]
+    before, _ = drive.deviation(motion.apply_xy(slam.xyz_m[:, :2]), gnss)
+    after, valid = drive.deviation(moved if effect.antenna_m is None else effect.antenna_m, gnss)
     return {
         "track": millimetres(moved),
         "before_rmse_m": _rms(before),
         "after_rmse_m": _rms(after),
         "valid_rmse_m": _rms(after[valid]),
         "shift_m": np.hypot(*(points.target_xy_m - points.source_xy_m).T).tolist(),
-        "sheet": sheet,
+        "residual_m": _known(effect.residual_m, len(points)),
+        "left_out_m": _known(effect.left_out_m, len(points)),
+        "sheet": drive.sheet_of(effect.warp),
     }
+
+
+def _known(values: Floats | None, count: int) -> list[float | None]:
+    """Numbers for JSON, which has no NaN."""
+    if values is None:
+        return [None] * count
+    return [float(v) if np.isfinite(v) else None for v in values]
 
 
 def left_out_error_m(source_xy_m: Floats, target_xy_m: Floats, others: Warp) -> float:

@@ -15,6 +15,7 @@ from flexmap_tasks.alignment.align_track import align_track
 from flexmap_tasks.alignment.heldout import heldout
 from flexmap_tasks.alignment.pose_graph import antenna_track, pose_graph, pose_graph_warp
 from flexmap_tasks.alignment.project import project_utm
+from flexmap_tasks.alignment.tried_points import solved_drive, tried
 from flexmap_tasks.config import (
     GnssParams,
     GraphHeldOutParams,
@@ -28,7 +29,8 @@ from flexmap_tasks.geometry.polyline import nearest_on_polyline
 from flexmap_tasks.geometry.se2 import rotated
 from flexmap_tasks.ingest.gnss import ingest_gnss
 from flexmap_tasks.ingest.slam import ingest_slam
-from flexmap_tasks.model.alignment import Extent
+from flexmap_tasks.model.alignment import ControlPoints, Extent, RigidMotion
+from flexmap_tasks.model.arrays import strings
 from flexmap_tasks.model.projection import Projection
 from flexmap_tasks.model.source import Source
 from flexmap_tasks.model.tracks import GnssTrack, Trajectory
@@ -242,3 +244,40 @@ def test_places_off_the_earth_become_nan(plain) -> None:
     out = warp.apply(np.array([[np.nan, 0.0, 0.0], [1e300, 0.0, 0.0], [-np.inf, 1.0, 0.0], [5.0, 5.0, 1.0]]))
     assert np.isnan(out[:3, 0]).all()
     assert np.isfinite(out[3]).all()
+
+
+def paired(drive: Driven, gap: slice, sigma_m: float = 0.05) -> tuple[ControlPoints, RigidMotion]:
+    """Places of the drive where they belong, given after a turned start."""
+    start = RigidMotion(np.array([[0.0, -1.0], [1.0, 0.0]]), np.array([7.0, -3.0]), 1.0, 1.0, 0.0)
+    rows = np.arange(len(drive.slam))[gap]
+    n = len(rows)
+    points = ControlPoints(
+        strings(f"p{i}" for i in range(n)), start.apply_xy(drive.slam.xyz_m[rows, :2]), drive.xyz[rows, :2],
+        np.full(n, sigma_m), np.ones(n, bool), strings([""] * n),
+    )  # fmt: skip
+    return points, start
+
+
+def test_points_that_are_tried_do_what_a_run_does() -> None:
+    drive = driven(1, gap=(900, 1150))
+    points, start = paired(drive, slice(400, 900, 80))
+    found = tried(solved_drive(drive.slam, drive.gnss, HERE, PoseGraphParams()), points, start)
+    graph = pose_graph(drive.slam, drive.gnss, HERE, points, start, PoseGraphParams())
+    run = pose_graph_warp(graph, PoseGraphParams()).apply(drive.slam.xyz_m)
+    assert np.hypot(*(found.warp.apply(drive.slam.xyz_m) - run)[:, :2].T).max() < 0.03
+    assert np.hypot(*(found.antenna_m - antenna_track(graph).xyz_m[:, :2]).T).max() < 0.03
+    assert found.residual_m.max() < 0.1
+
+
+def test_a_point_left_out_is_judged_by_all_others() -> None:
+    drive = driven(1, gap=(900, 1150))
+    points, start = paired(drive, slice(400, 900, 80))
+    target = points.target_xy_m.copy()
+    target[3] += (0.6, -0.4)
+    points = dataclasses.replace(points, target_xy_m=target)
+    base = solved_drive(drive.slam, drive.gnss, HERE, PoseGraphParams())
+    found = tried(base, points, start)
+    assert found.left_out_m.argmax() == 3
+    without = dataclasses.replace(points, used=np.arange(len(points)) != 3)
+    assert tried(base, without, start).residual_m[3] == pytest.approx(found.left_out_m[3], abs=0.05)
+    assert len(tried(base, points.take(np.zeros(0, int)), start).residual_m) == 0

@@ -108,6 +108,7 @@ def test_undo_redo_exclude_and_sigma(page: Any, serve: Serve, config: FlexMapCon
     page.click("#rows tr:nth-child(3) input[type=checkbox]")
     until(lambda: shown_rmse(page) != first)
     assert shown_rmse(page) > first
+    assert "lanelets change by more than 10 cm" in page.inner_text("#widths")
     page.keyboard.press("Control+z")
     until(lambda: shown_rmse(page) == first)
     assert page.is_disabled("#save")

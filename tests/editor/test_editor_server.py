@@ -111,6 +111,17 @@ def test_a_preview_says_what_points_do(server: EditServer, config: FlexMapConfig
     assert math.isclose(few["shift_m"][0], math.hypot(2, 2))
 
 
+def test_a_preview_says_what_becomes_of_the_lanes(server: EditServer, config: FlexMapConfig) -> None:
+    still = ask(server, "preview", {"pairs": []})[1]["lanes"]
+    assert still == {"max_m": pytest.approx(0, abs=1e-3), "share_over_10cm": 0.0, "folded": 0, "lanelets": []}
+    pulled = [{"label": f"p{i}", "source": [100.0 * x, 100.0 * y], "target": [150.0 * x, 100.0 * y], "sigma": 0.1, "used": True}
+              for i, (x, y) in enumerate([(-3, -3), (3, -3), (3, 3), (-3, 3)])]  # fmt: skip
+    lanes = ask(server, "preview", {"pairs": pulled})[1]["lanes"]
+    assert lanes["max_m"] > 1
+    assert 0 < lanes["share_over_10cm"] <= 1
+    assert len(lanes["lanelets"]) > 100
+
+
 def test_a_configuration_without_a_file_to_save_to_is_refused(config: FlexMapConfig, store: Store) -> None:
     bare = config.model_dump() | {"alignment": {"method": "rigid"}}
     with pytest.raises(ConfigError, match=r"control_points_file.*review_file"):

@@ -75,7 +75,7 @@ async function judge() {
   if (told.track) {
     slam.after = metres(column(told.track));
     layer("slam_after").draw = (view) => made("edited", () => trackPaths(slam.after, () => false)).stroke(view, inks.get("slam-after"), 2.6);
-    lazy.edited = undefined;
+    lazy.edited = lazy.bent = undefined;
     if (told.sheet) reshape(told.sheet);
   }
   show();

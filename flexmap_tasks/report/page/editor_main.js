@@ -14,7 +14,15 @@ map.fitBounds(L.latLngBounds(L.latLng(box[1], box[0]), L.latLng(box[3], box[2]))
 
 const shown = layers.filter((l) => l.id !== "points");
 for (const l of shown) l.on = ["gnss", "slam_before", "slam_after", "before"].includes(l.id);
-const scene = new Scene([...shown, handles]);
+/** Lanes that would change much, where the rigid start has them. */
+const bent = {
+  on: true,
+  draw(view) {
+    const lanes = answer?.lanes?.lanelets;
+    if (lanes && before) made("bent", () => { const paths = new Paths(); for (const [id] of lanes) if (before.rowOf.has(id)) paths.add(before.rings[before.rowOf.get(id)], true); return paths; }).fill(view, inks.get("lanes-differ"));
+  },
+};
+const scene = new Scene([...shown, bent, handles]);
 scene.addTo(map);
 $("layers").append(el("section", { class: "group" }, el("h2", {}, "Layers"), shown.map((l) => el("label", { class: "layer" },
   el("input", { type: "checkbox", id: `layer-${l.id}`, checked: l.on, onchange: (event) => { l.on = event.target.checked; scene.redraw(); } }),
@@ -109,12 +117,13 @@ function show() {
   const a = answer ?? {}, chips = [];
   const chip = (text, value) => chips.push(el("span", { class: "chip" }, el("small", {}, text), el("b", {}, value)));
   chip("rigid start", a.before_rmse_m === undefined ? "…" : `${number(a.before_rmse_m, 3)} m`);
-  chip(data.method === "rubber_sheet" ? "aligned" : "as rubber sheet", a.after_rmse_m === undefined ? "…" : `${number(a.after_rmse_m, 3)} m`);
+  chip(data.method === "pose_graph" ? "pose graph" : data.method === "rubber_sheet" ? "rubber sheet" : "as rubber sheet", a.after_rmse_m === undefined ? "…" : `${number(a.after_rmse_m, 3)} m`);
   chip("with valid GNSS", a.valid_rmse_m === undefined ? "…" : `${number(a.valid_rmse_m, 3)} m`);
   if (a.sheet) {
     const stretch = decode(a.sheet.stretch);
     chip("stretch", `${number(Math.min(...stretch), 3)} to ${number(Math.max(...stretch), 3)}`);
   }
+  if (a.lanes) $("widths").replaceChildren(...widthRows(a.lanes));
   $("figures").replaceChildren(...chips);
   const spoken = verdict ?? a;
   $("message").textContent = spoken.error ?? spoken.said ?? "";
@@ -127,12 +136,30 @@ function show() {
   scene.redraw();
 }
 
+/** How the widths of the lanes would change, and which lanelets by more than 10 cm, the worst first. */
+function widthRows(lanes) {
+  const worst = [...lanes.lanelets].sort((a, b) => b[1] - a[1]);
+  const out = [el("dl", { class: "facts" }, el("dt", {}, "greatest change"), el("dd", {}, `${number(lanes.max_m, 2)} m`),
+    el("dt", {}, "cross sections over 10 cm"), el("dd", {}, percent(lanes.share_over_10cm)), el("dt", {}, "folded lanelets"), el("dd", {}, number(lanes.folded, 0)))];
+  if (!worst.length) return out;
+  return [...out, el("p", { class: "hint" }, swatch("lanes-differ"), ` ${number(worst.length, 0)} lanelets change by more than 10 cm:`),
+    el("div", { class: "links" }, worst.slice(0, 60).map(([id, change_m]) => el("button", { type: "button", class: "link", onclick: () => goToLanelet(id) }, `${id} (${number(change_m, 2)} m)`)))];
+}
+
+function goToLanelet(id) {
+  const row = before?.rowOf.get(id);
+  if (row === undefined) return;
+  const [a, b, c, d] = before.boxes[row];
+  map.fitBounds(L.latLngBounds(L.latLng(b, a), L.latLng(d, c)).pad(0.8), { maxZoom: 3, animate: false });
+}
+
 function rowOf(pair, i) {
-  const loo = answer?.left_out_m?.[i];
+  const loo = answer?.left_out_m?.[i], left = answer?.residual_m?.[i];
   return el("tr", { class: i === chosen ? "chosen" : null, onclick: () => { chosen = i; show(); } },
     el("td", {}, el("input", { type: "checkbox", checked: pair.used, "aria-label": "use", onclick: (e) => e.stopPropagation(), onchange: () => change(() => { pairs[i].used = !pairs[i].used; }) })),
     el("td", {}, foreign(pair.label.slice(0, 40))),
     el("td", { class: "num" }, number(Math.hypot(pair.target[0] - pair.source[0], pair.target[1] - pair.source[1]), 2)),
+    ...(data.method === "pose_graph" ? [el("td", { class: "num" }, left === null || left === undefined ? "–" : number(left, 2))] : []),
     el("td", { class: "num" }, loo === null || loo === undefined ? "–" : number(loo, 2)),
     el("td", {}, el("input", { type: "number", min: "0.001", max: "100", step: "0.01", value: String(pair.sigma), "aria-label": "sigma", onclick: (e) => e.stopPropagation(),
       onchange: (event) => { const v = Number(event.target.value); if (v > 0 && v <= 100) change(() => { pairs[i].sigma = v; }); else show(); } })),
@@ -167,6 +194,8 @@ addEventListener("beforeunload", (event) => { if (!$("save").disabled) event.pre
 addEventListener("resize", () => map.invalidateSize({ pan: false }));
 matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => { inks.cache.clear(); scene.redraw(); });
 
+if (data.method === "pose_graph") $("left").after(el("th", { class: "num", title: "How far the pose graph with all of them puts it from its target" }, "left, m"));
+if (!before) $("widths").hidden = true;
 adding(false);
 show();
 judge().then(() => { document.documentElement.dataset.ready = "yes"; });
