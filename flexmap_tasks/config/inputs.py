@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from datetime import date
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -16,8 +17,11 @@ Degrees = Annotated[float, Field(ge=-360, le=360)]
 class GnssParams(Params):
     """Which GNSS fixes to read from a recording."""
 
-    format: Literal["auto", "mcap", "text"] = Field("auto", description="by content when auto")
+    format: Literal["auto", "mcap", "text", "nmea"] = Field("auto", description="by content when auto")
     topic: str | None = Field(None, description="MCAP topic; may stay empty when only one fits")
+    nmea_date: date | None = Field(
+        None, description="UTC day of the first fix of an NMEA log without dates (no RMC, no ZDA)"
+    )
 
 
 class SlamParams(Params):

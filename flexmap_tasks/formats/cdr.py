@@ -95,6 +95,15 @@ class Cursor:
         """Step over a string."""
         self._advance(self.numbers("u4")[:, 0].astype(np.int64))
 
+    def skip_numbers(self, code: str) -> None:
+        """Step over a sequence of numbers."""
+        size = np.dtype(code).itemsize
+        count = self.numbers("u4")[:, 0].astype(np.int64)
+        require_rows(count * size <= self.remaining() + size, "the message is cut off", self.rows)
+        aligned = self._at + (self._origin - self._at) % size
+        self._at = np.where(count > 0, aligned, self._at)
+        self._advance(count * size)
+
     def texts(self) -> list[bytes]:
         """The next string of each message, without its closing zero."""
         length = self.numbers("u4")[:, 0].astype(np.int64)

@@ -9,10 +9,17 @@ from dataclasses import dataclass
 import numpy as np
 
 from flexmap_tasks.formats.cdr import Bytes, CdrError, Cursor, byte_orders, require_rows
+from flexmap_tasks.formats.nmea import APPROXIMATED, STATUS_OF_QUALITY, TYPICAL_SIGMA_M, UP_PER_HORIZONTAL
 from flexmap_tasks.formats.track_rows import FIX_COLUMNS, POSE_COLUMNS
 from flexmap_tasks.model.arrays import Floats, Ints
 
 NS_PER_S = 1_000_000_000
+
+QUALITY_OF_GPS = {-1: 0, 0: 1, 1: 2, 2: 4, 18: 2, 19: 4, 20: 5, 33: 2}
+"""GGA quality by gps_msgs/GPSStatus: none, fix, SBAS, GBAS, DGPS, RTK fixed, RTK float, WAAS."""
+
+RADIUS_95, LENGTH_95 = 2.448, 1.96
+"""Standard deviations in the radius that holds 95 % of a plane's errors, and in that length of a line's."""
 
 _POSE_BYTES = 7 * 8
 _LEAST_TRANSFORM = 4 + 4 + 4 + 4 + _POSE_BYTES
@@ -61,6 +68,40 @@ def nav_sat_fix(cursor: Cursor) -> Decoded:
     out[:, 3:6] = place[:, [3, 7, 11]]  # the diagonal of the covariance: east, north, up
     out[:, 6] = cursor.numbers("u1")[:, 0]
     return Decoded(out, stamp, cursor.rows)
+
+
+def gps_fix(cursor: Cursor) -> Decoded:
+    """gps_msgs/msg/GPSFix: its status tells a fixed RTK solution from a float one (gpsd's names, gps_umd)."""
+    stamp = _header(cursor)
+    _header(cursor)
+    cursor.skip("u2")
+    cursor.skip_numbers("i4")
+    cursor.skip("u2")
+    for _ in range(4):  # numbers, elevations, azimuths and signals of the satellites
+        cursor.skip_numbers("i4")
+    status = cursor.numbers("i2")[:, 0].astype(np.int64)
+    cursor.skip("u2", 3)
+    place = cursor.numbers("f8", 25)
+    covariance, kind = cursor.numbers("f8", 9), cursor.numbers("u1")[:, 0]
+    out = np.empty((len(cursor), len(FIX_COLUMNS)))
+    out[:, 0:3] = place[:, 0:3]
+    across, up = place[:, 16] / RADIUS_95, place[:, 17] / LENGTH_95
+    stated = np.column_stack([across, across, up]) ** 2
+    typical = np.array([TYPICAL_SIGMA_M.get(QUALITY_OF_GPS.get(s, 1), np.nan) for s in status.tolist()])[
+        :, None
+    ]
+    guess = (typical * [1.0, 1.0, UP_PER_HORIZONTAL]) ** 2
+    known = (kind != 0) & (covariance[:, [0, 4, 8]] > 0).all(axis=1)
+    out[:, 3:6] = np.where(known[:, None], covariance[:, [0, 4, 8]], np.where(stated > 0, stated, guess))
+    out[:, 6] = np.where(known, kind, APPROXIMATED)
+    out[:, 7] = [STATUS_OF_QUALITY[QUALITY_OF_GPS.get(s, 0 if s < 0 else 1)] for s in status.tolist()]
+    return Decoded(out, stamp, cursor.rows)
+
+
+def sentences(cursor: Cursor) -> tuple[Ints, list[bytes], Ints]:
+    """nmea_msgs/msg/Sentence: stamps, texts and the number of each message."""
+    stamp = _header(cursor)
+    return stamp, cursor.texts(), cursor.rows
 
 
 def odometry(cursor: Cursor) -> Decoded:

@@ -10,16 +10,21 @@ import numpy as np
 
 from flexmap_tasks.errors import InputError
 from flexmap_tasks.formats import mcap_foxglove, mcap_ros
+from flexmap_tasks.formats.cdr import byte_orders
 from flexmap_tasks.formats.mcap_columns import columns, guard, pieces, slices
 from flexmap_tasks.formats.mcap_records import Messages, Recording, open_recording
 from flexmap_tasks.formats.mcap_ros import Decoded, Decoder
 from flexmap_tasks.formats.mcap_topics import Topic, choose_topic, topics_of
 from flexmap_tasks.formats.mcap_transforms import TRANSFORM_KINDS, listed_pairs, read_transforms
+from flexmap_tasks.formats.nmea import DAY_NS, read_sentences, turns
 from flexmap_tasks.formats.track_rows import Rows, fill_stamps, printable
 from flexmap_tasks.model.arrays import Ints
 
 _FOXGLOVE = ("protobuf", "json")
 FIX_KINDS = {"sensor_msgs/NavSatFix": ("cdr",), "foxglove.LocationFix": _FOXGLOVE}
+MORE_FIX_KINDS = {"gps_msgs/GPSFix": ("cdr",), "gps_common/GPSFix": ("cdr",), "nmea_msgs/Sentence": ("cdr",)}
+"""Say the same with the receiver's own quality; drivers publish them beside NavSatFix, so they are taken when named
+or alone."""
 POSE_KINDS = {
     "nav_msgs/Odometry": ("cdr",),
     "geometry_msgs/PoseStamped": ("cdr",),
@@ -31,6 +36,8 @@ POSE_KINDS = {
 
 _DECODERS: dict[str, Decoder] = {
     "sensor_msgs/NavSatFix": mcap_ros.nav_sat_fix,
+    "gps_msgs/GPSFix": mcap_ros.gps_fix,
+    "gps_common/GPSFix": mcap_ros.gps_fix,
     "nav_msgs/Odometry": mcap_ros.odometry,
     "geometry_msgs/PoseStamped": mcap_ros.pose_stamped,
     "geometry_msgs/PoseWithCovarianceStamped": mcap_ros.pose_stamped,
@@ -43,8 +50,18 @@ def read_fixes(name: str, path: Path, topic: str | None) -> Rows:
     Raises InputError for a damaged file, and where no or more than one topic fits.
     """
     recording = open_recording(name, path)
-    chosen = choose_topic(recording, FIX_KINDS, topic, "GNSS fixes", "gnss.topic")
-    return _read(recording, chosen)
+    every = FIX_KINDS | MORE_FIX_KINDS
+    fitting = {t.kind for t in topics_of(recording) if t.count}
+    alone = [{kind: every[kind]} for kind in MORE_FIX_KINDS if kind in fitting]
+    kinds = every if topic is not None or not fitting & every.keys() else FIX_KINDS
+    if topic is None and not fitting & FIX_KINDS.keys() and alone:
+        kinds = alone[0]
+    chosen = choose_topic(recording, kinds, topic, "GNSS fixes", "gnss.topic")
+    return (
+        _read_sentences(recording, chosen)
+        if chosen.kind == "nmea_msgs/Sentence"
+        else _read(recording, chosen)
+    )
 
 
 def read_poses(name: str, path: Path, topic: str | None, parent: str | None, child: str | None) -> Rows:
@@ -81,6 +98,32 @@ def _read(recording: Recording, topic: Topic) -> Rows:
     messages = columns(recording, topic)
     decoder = _DECODERS[topic.kind]
     return _rows(recording, topic, messages.log_time_ns, partial(_decode, messages, decoder))
+
+
+def _read_sentences(recording: Recording, topic: Topic) -> Rows:
+    """Fixes of NMEA sentences, on the clock of the recording: the receiver's times, shifted as a whole.
+
+    The stamps of the messages are when a line came in, which jitters; the shift is the median of their lag.
+    """
+    messages = columns(recording, topic)
+    parts = guard(
+        recording,
+        topic,
+        lambda: [mcap_ros.sentences(c) for c in byte_orders(messages.data, messages.begin, messages.end)],
+    )
+    stamps, texts = np.empty(len(messages), np.int64), [b""] * len(messages)
+    for stamp, some, rows in parts:
+        stamps[rows] = stamp
+        for row, text in zip(rows.tolist(), some, strict=True):
+            texts[row] = text
+    came_ns = fill_stamps(stamps, messages.log_time_ns)
+    read = read_sentences(text.decode("latin-1") for text in texts)
+    if not len(read):
+        raise InputError(recording.name, f"{topic} holds no GGA sentence with a right checksum")
+    day_ns = read.tod_ns + DAY_NS * turns(read.tod_ns)
+    lag = int(np.median(came_ns[read.number] - day_ns))
+    place = f"topic {topic.label} message"
+    return Rows(read.values, day_ns + lag, lambda row: f"{place} {read.number[row] + 1}", topic.kind)
 
 
 def _read_path(recording: Recording, topic: Topic) -> Rows:

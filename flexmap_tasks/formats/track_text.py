@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
+from datetime import date
 from decimal import Decimal
 from pathlib import Path
 
@@ -11,12 +13,18 @@ from scipy.spatial.transform import Rotation
 
 from flexmap_tasks.errors import InputError
 from flexmap_tasks.formats.mcap_records import MAGIC
+from flexmap_tasks.formats.nmea import read_sentences
 from flexmap_tasks.formats.track_rows import FIX_COLUMNS, POSE_COLUMNS, Rows, printable
 from flexmap_tasks.model.arrays import Floats, Ints
 from flexmap_tasks.model.tracks import STATUS_UNKNOWN
 
 ROTATION_TOLERANCE = 1e-2
 """A KITTI matrix may miss orthonormality by this much; files with four decimals do."""
+
+NMEA_SNIFF_BYTES = 64 * 1024
+MOST_DAMAGED = 0.05
+"""Share of NMEA sentences with a wrong checksum up to which a log is believed."""
+NMEA_FORM = 'a sentence is "$GNGGA,hhmmss.ss,ddmm.mmmm,N,dddmm.mmmm,E,quality,...*checksum"'
 
 LATEST_S = 9_000_000_000
 """Times beyond the year 2255 do not fit into 64 bits of nanoseconds."""
@@ -94,6 +102,36 @@ def read_poses_text(name: str, path: Path, form: TextForm | None) -> Rows:
     values[:, 0:3] = matrix[:, :, 3]
     values[:, 3:7] = _quaternions(lines, matrix[:, :, 0:3])
     return Rows(values, None, lines.where, form.form)
+
+
+def is_nmea(path: Path) -> bool:
+    """Whether the beginning of the file holds a GGA sentence."""
+    with path.open("rb") as file:
+        return re.search(rb"\$[A-Z]{2}GGA,", file.read(NMEA_SNIFF_BYTES)) is not None
+
+
+def read_nmea(name: str, path: Path, first_day: date | None) -> Rows:
+    """Columns FIX_COLUMNS from an NMEA log, with UTC times.
+
+    Raises InputError where there is no GGA, where no date is known, and where many sentences are damaged.
+    """
+    try:
+        text = path.read_bytes().decode("latin-1")
+    except OSError as error:
+        raise InputError(name, f"the file cannot be read ({error})") from error
+    read = read_sentences(text.splitlines(), first_day)
+    if not len(read):
+        raise InputError(name, f"there is no GGA sentence with a right checksum; {NMEA_FORM}")
+    if (
+        read.damaged > MOST_DAMAGED * (len(read) + read.damaged) + 2
+    ):  # a log often begins and ends amid a line
+        rule = f"{read.damaged:,} sentences beside {len(read):,} good fixes are damaged (checksum); log again"
+        raise InputError(name, rule)
+    if read.day_ns is None:
+        rule = "the log says no date (no RMC, no ZDA): give the UTC day of its first fix as gnss.nmea_date"
+        raise InputError(name, rule)
+    stamps = read.day_ns + read.tod_ns
+    return Rows(read.values, stamps, lambda row: f"line {read.number[row] + 1}", NMEA_FORM)
 
 
 class _Lines:

@@ -9,7 +9,7 @@ from flexmap_tasks.engine.stage import stage
 from flexmap_tasks.errors import InputError
 from flexmap_tasks.formats.mcap_tracks import read_fixes
 from flexmap_tasks.formats.track_rows import Rows
-from flexmap_tasks.formats.track_text import is_mcap, read_lat_lon
+from flexmap_tasks.formats.track_text import is_mcap, is_nmea, read_lat_lon, read_nmea
 from flexmap_tasks.model.arrays import Bools, Floats
 from flexmap_tasks.model.source import Source
 from flexmap_tasks.model.tracks import STATUS_NONE, GnssFixes, rows_in_time_order
@@ -17,7 +17,7 @@ from flexmap_tasks.model.tracks import STATUS_NONE, GnssFixes, rows_in_time_orde
 
 @stage("gnss_fixes")
 def ingest_gnss(source: Source, params: GnssParams) -> GnssFixes:
-    """Fixes of an MCAP topic in the order of their stamps, or of a "lat lon" text file in its own order.
+    """Fixes of an MCAP topic or an NMEA log in the order of their stamps, or of "lat lon" lines in their own order.
 
     Of fixes with one stamp the first is kept. Fixes without a position stay, with status -1 and NaN.
     Raises InputError for a file or value that breaks a rule, and where no fix has a position.
@@ -55,7 +55,9 @@ def _read(source: Source, params: GnssParams) -> Rows:
     if params.format == "mcap" or (params.format == "auto" and mcap):
         return read_fixes(source.name, source.path, params.topic)
     if mcap:
-        raise InputError(source.name, "gnss.format is text, but the file is MCAP: use auto")
+        raise InputError(source.name, f"gnss.format is {params.format}, but the file is MCAP: use auto")
+    if params.format == "nmea" or (params.format == "auto" and is_nmea(source.path)):
+        return read_nmea(source.name, source.path, params.nmea_date)
     return read_lat_lon(source.name, source.path)
 
 
