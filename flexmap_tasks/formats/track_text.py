@@ -31,6 +31,8 @@ LATEST_S = 9_000_000_000
 
 _FOREIGN = (
     (b"#ROSBAG", "this is a ROS 1 bag: convert it to MCAP with `mcap convert`"),
+    (b"\x28\xb5\x2f\xfd", "this file is packed with zstd: unpack it with `zstd -d`"),
+    (b"\x1f\x8b", "this file is packed with gzip: unpack it with `gunzip`"),
     (b"SQLite format 3", "this is a ROS 2 bag in SQLite: convert it to MCAP with `ros2 bag convert`"),
 )
 

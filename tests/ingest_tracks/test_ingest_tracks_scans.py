@@ -153,6 +153,22 @@ def test_scans_in_the_body_s_own_frame_need_no_transform(tmp_path: Path) -> None
     np.testing.assert_allclose(in_order(ingest(file, min_range_m=0)).xyz_m, expected(STILL).xyz_m, atol=1e-6)
 
 
+def test_poses_and_sensor_from_transforms_alone(tmp_path: Path) -> None:
+    moving = [
+        rec.ros_record(
+            "/tf",
+            T0,
+            rec.transforms([rec.transform(T0 + k * NS_PER_S // 20, pose_at(k / 20), "map", "base_link")]),
+        )
+        for k in range(41)
+    ]
+    file = rec.write(tmp_path / "a.mcap", [static([(MOUNT, "base_link", "lidar")]), *moving, *scans()])
+    slam = {"parent_frame": "map", "child_frame": "base_link"}
+    np.testing.assert_allclose(
+        in_order(ingest(file, slam=slam, min_range_m=0)).xyz_m, expected(MOUNT).xyz_m, atol=1e-6
+    )
+
+
 def test_poses_of_another_file_need_a_word_on_their_frame(tmp_path: Path) -> None:
     file = rec.write(tmp_path / "a.mcap", scans())
     lines = [" ".join(map(repr, [T0 / 1e9 + k / 20, *map(float, pose_at(k / 20))])) for k in range(41)]
