@@ -6,6 +6,7 @@ Prefect's own caching stays off: its keys miss edited helpers and its result fil
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import dataclass, field
 from typing import Any
 from uuid import UUID
@@ -38,6 +39,7 @@ class StageRuns:
     map_name: str
     outcomes: dict[str, Outcome] = field(default_factory=dict)
     errors: dict[str, Exception] = field(default_factory=dict)
+    tries: Counter[str] = field(default_factory=Counter)
 
     def submit(self) -> list[PrefectFuture[Any]]:
         """Submit every stage; each waits for those it needs, independent ones run at the same time."""
@@ -50,14 +52,13 @@ class StageRuns:
     def run_stage(self, node: Node) -> State[Any]:
         """The stage's state: `Cached` when the store has the result, `Completed` when it ran."""
         self.errors.pop(node.name, None)
+        self.tries[node.name] += 1
         artifacts = {name: outcome.artifact for name, outcome in self.outcomes.items()}
         try:
             bound = {name: self.engine.bind(ref, artifacts) for name, ref in node.inputs.items()}
             outcome = self.engine.run(node, bound, _show_items(node, self.map_name))
         except (FlexMapError, CorruptBlobError) as error:
             self.errors[node.name] = error
-            if isinstance(error, OsmServerError):
-                raise  # Prefect retries what is raised
             return Failed(message=str(error), data=error)  # one clear line in the log, no traceback
         except Exception as error:
             self.errors[node.name] = error
@@ -71,15 +72,20 @@ class StageRuns:
         def run() -> State[Any]:
             return self.run_stage(node)
 
+        def worth_a_retry(_task: Task[Any, Any], _run: TaskRun, state: State[Any]) -> bool:
+            """A busy or failing server may recover; a wrong input never does."""
+            return isinstance(state.data, OsmServerError) and self.tries[node.name] <= OUTSIDE_RETRIES
+
         return task(
             name=node.name,
             task_run_name=f"{self.map_name}: {node.name.replace('_', ' ')}",
             description=(node.stage.function.__doc__ or "").strip().split("\n")[0],
             cache_policy=NO_CACHE,
             persist_result=False,
-            retries=OUTSIDE_RETRIES if node.stage.outside else 0,
+            retries=OUTSIDE_RETRIES
+            + 1,  # never used up: Prefect would log "NoneType: None" beside the one clear line
             retry_delay_seconds=OUTSIDE_RETRY_DELAYS_S,
-            retry_condition_fn=_worth_a_retry,
+            retry_condition_fn=worth_a_retry,
         )(run)
 
 
@@ -89,11 +95,6 @@ def describe(outcome: Outcome) -> str:
         return f"cached: action {outcome.key[:12]}, {outcome.seconds:.2f} s saved"
     items = f" ({outcome.computed} of {outcome.items} items ran)" if outcome.items > 1 else ""
     return f"computed in {outcome.seconds:.2f} s{items}: action {outcome.key[:12]}"
-
-
-def _worth_a_retry(_task: Task[Any, Any], _run: TaskRun, state: State[Any]) -> bool:
-    """A busy or failing server may recover; a wrong input never does."""
-    return isinstance(state.data, OsmServerError) or "OsmServerError" in (state.message or "")
 
 
 def _show_items(node: Node, map_name: str) -> Progress:

@@ -20,14 +20,20 @@ from fleet_town import break_log, drive_again, write_fleet
 
 
 def night(
-    server: Server, timeout_s: float = 1800
+    server: Server, timeout_s: float = 1800, pictures: Path | None = None
 ) -> tuple[list[dict[str, Any]], list[dict[str, Any]], float]:
     """One update: the rows of its table, the runs of maps it started, seconds."""
     clock, since = time.monotonic(), datetime.now(UTC).isoformat()
     run = server.update("towns", timeout_s)
     assert run["state_type"] == "COMPLETED", run["state"]["message"]
     table = json.loads(server.artifact("towns-fleet")["data"])
-    return table, server.map_runs(since), time.monotonic() - clock
+    seconds = time.monotonic() - clock
+    if pictures is not None:
+        from fleet_pictures import take  # noqa: PLC0415 - needs a browser
+
+        bad = [row["reason"] for row in table if row["state"] == "failed"]
+        take(server, run["id"], pictures, [run["name"], "published", *(reason[:40] for reason in bad)])
+    return table, server.map_runs(since), seconds
 
 
 def states(table: list[dict[str, Any]]) -> dict[str, str]:
@@ -35,7 +41,9 @@ def states(table: list[dict[str, Any]]) -> dict[str, str]:
     return {row["map"]: row["state"] for row in table}
 
 
-def nights(root: Path, maps: int, workers: int, *, kill: bool, port: int | None = None) -> dict[str, float]:
+def nights(
+    root: Path, maps: int, workers: int, *, kill: bool, port: int | None = None, pictures: Path | None = None
+) -> dict[str, float]:
     """Three nights, asserted through Prefect's API; the seconds of each."""
     file = write_fleet(root, maps, work_pool={"name": "towns"}, runs_at_once=2 * workers, poll_s=1.0, retries=2,
                        start_timeout_s=120.0)  # fmt: skip
@@ -50,7 +58,7 @@ def nights(root: Path, maps: int, workers: int, *, kill: bool, port: int | None 
         if kill:
             killer = KillInTheMiddle(server, [worker.pid for worker in crew])
             killer.start()
-        table, runs, seconds["first"] = night(server)
+        table, runs, seconds["first"] = night(server, pictures=pictures)
         if kill:
             killer.join()
             assert killer.killed, "nothing ran on the worker when it was to be killed"
@@ -136,10 +144,18 @@ def main() -> None:
     parser.add_argument("--workers", type=int, default=2)
     parser.add_argument("--port", type=int)
     parser.add_argument("--no-kill", action="store_true")
+    parser.add_argument("--pictures", type=Path, help="folder for pictures of the dashboard")
     given = parser.parse_args()
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))  # end what was started
     with tempfile.TemporaryDirectory(prefix="flexmap-nights-") as root:
-        seconds = nights(Path(root), given.maps, given.workers, kill=not given.no_kill, port=given.port)
+        seconds = nights(
+            Path(root),
+            given.maps,
+            given.workers,
+            kill=not given.no_kill,
+            port=given.port,
+            pictures=given.pictures,
+        )
     for name, s in seconds.items():
         print(f"{name} night: {s:.0f} s")
 

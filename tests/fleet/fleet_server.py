@@ -25,6 +25,10 @@ SETTINGS = {
 }
 
 
+PATIENCE_S = 300
+"""A server with SQLite on a machine that is busy with other work."""
+
+
 class Server:
     """A Prefect server with a database of its own."""
 
@@ -71,13 +75,13 @@ class Server:
 
     def ask(self, path: str, **body: Any) -> Any:
         """A POST to the API."""
-        answer = httpx.post(f"{self.url}/api{path}", json=body, timeout=60, trust_env=False)
+        answer = httpx.post(f"{self.url}/api{path}", json=body, timeout=PATIENCE_S, trust_env=False)
         answer.raise_for_status()
         return answer.json()
 
     def get(self, path: str) -> Any:
         """A GET from the API."""
-        answer = httpx.get(f"{self.url}/api{path}", timeout=60, trust_env=False)
+        answer = httpx.get(f"{self.url}/api{path}", timeout=PATIENCE_S, trust_env=False)
         answer.raise_for_status()
         return answer.json()
 

@@ -132,13 +132,14 @@ DEMO_INPUTS = {
     "lanelet_map.file": "lanelet2_map.osm",
     "point_cloud.file": "pointcloud_map.pcd",
     "osm.file": "osm_extract.osm",
+    "conflation.review_file": "review_decisions.csv",
 }
 
 
 @pytest.mark.server
 def test_a_bad_input_fails_its_stage_with_one_line(environment: dict[str, str], tmp_path: Path) -> None:
     bad = tmp_path / "bad.csv"
-    bad.write_text("source_row,target_row\n")
+    bad.write_text("colour,weight\nred,3\n")
     flexmap(environment, tmp_path, "demo", "--no-prefect")
     sets = [f"{key}={tmp_path / 'demo' / name}" for key, name in DEMO_INPUTS.items()]
     sets += [f"alignment.control_points_file={bad}", "map=bad"]
@@ -155,6 +156,8 @@ def test_a_bad_input_fails_its_stage_with_one_line(environment: dict[str, str], 
         or "flexmap: bad.csv" in done.stderr
     )
     assert "Traceback" not in done.stderr
+    assert "NoneType" not in done.stdout + done.stderr
+    assert (done.stdout + done.stderr).count("Finished in state Failed") <= 2, "the stage and the flow"
     latest = next(r for r in flow_runs(environment) if r["name"] == "bad")
     assert latest["state_type"] == "FAILED"
     assert "bad.csv" in latest["state"]["message"]
