@@ -97,8 +97,9 @@ class LasReader:
         def read() -> Records:
             points = reader.read_points(count)
             out = np.empty(len(points), self.record_type)
-            for axis in AXES:
-                out[axis] = points[axis]
+            with np.errstate(over="ignore", invalid="ignore"):  # what overflows has no usable coordinates
+                for axis in AXES:
+                    out[axis] = points[axis]
             for name, renamed, _, _ in self._dimensions:
                 out[renamed] = np.asarray(points[name])
             return out

@@ -23,6 +23,7 @@ _POINT_BYTES = (20, 28, 26, 34, 57, 63, 30, 36, 38, 59, 67)
 _VLR, _EVLR = struct.Struct("<2x16sHH32x"), struct.Struct("<2x16sHQ32x")
 _LASZIP = (b"laszip encoded", 22204)
 _LASZIP_HEAD, _LASZIP_ITEM = 34, 6
+_CHUNKED = (2, 3)
 _CHUNK_SIZE_AT, _VARIABLE = 12, 0xFFFFFFFF
 
 
@@ -129,7 +130,10 @@ def _check_packed(file: BinaryIO, header: LasHeader, size: int, laszip: bytes | 
     """The table of chunks at the end must account for all bytes and all points."""
     if laszip is None or len(laszip) < _LASZIP_HEAD:
         raise InputError(name, "the points are compressed, but the LASzip record is missing", "header")
-    (items,) = struct.unpack_from("<H", laszip, 32)
+    compressor, items = struct.unpack_from("<H", laszip)[0], struct.unpack_from("<H", laszip, 32)[0]
+    if compressor not in _CHUNKED:
+        rule = f"LASzip's compressor {compressor} is not read (2 and 3 are); pack the file anew, with laszip or pdal"
+        raise InputError(name, rule, "header")
     widths = np.frombuffer(laszip[_LASZIP_HEAD:], "<u2")[1::3][:items]
     if len(laszip) < _LASZIP_HEAD + items * _LASZIP_ITEM or widths.sum() != header.point_bytes:
         raise InputError(name, "the LASzip record does not describe the points of the header", "header")

@@ -87,12 +87,12 @@ def point_cloud2(message: memoryview) -> Scan:
         raise CdrError(0, f"{height} rows of {width} points do not fit its {len(data):,} bytes of data")
     kinds = [(name, offset, order + _kind(_ROS_KINDS, kind), n) for name, offset, kind, n in fields]
     record = _record_type(kinds, step)
-    if height > 1 and row_step != step * width:
-        if row_step < step * width:
-            raise CdrError(0, "its rows overlap")
-        rows = (np.frombuffer(data, record, width, r * row_step) for r in range(height))
-        return Scan(stamp, frame, None, np.concatenate(list(rows)))
-    return Scan(stamp, frame, None, np.frombuffer(data, record, height * width))
+    if not height * width:
+        return Scan(stamp, frame, None, np.empty(0, record))
+    if height > 1 and row_step < step * width:
+        raise CdrError(0, "its rows overlap")
+    points: Records = np.ndarray((height, width), record, data, 0, (row_step if height > 1 else 0, step))
+    return Scan(stamp, frame, None, points.reshape(-1))  # copied only where rows have gaps between them
 
 
 def foxglove_point_cloud(raw: bytes, fields: Fields) -> Scan:
@@ -128,7 +128,7 @@ def _foxglove(message: Mapping[str, Any]) -> Scan:
         stamp_of(message),
         frame_name(str(message.get("frame_id", ""))),
         origin,
-        np.frombuffer(data, record, count),
+        np.ndarray((count,), record, data) if count else np.empty(0, record),
     )
 
 

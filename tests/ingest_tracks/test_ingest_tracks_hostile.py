@@ -326,6 +326,7 @@ def test_other_recordings_and_missing_files(tmp_path):
     for content, match in (
         (b"", "the file is empty"),
         (b"#ROSBAG V2.0\n", "ROS 1 bag"),
+        (b"\x28\xb5\x2f\xfd more", "unpack it with `zstd -d`"),
         (b"SQLite format 3\0", "ROS 2 bag in SQLite"),
         (b"\x00\xff\xfe", "neither MCAP nor UTF-8 text"),
     ):

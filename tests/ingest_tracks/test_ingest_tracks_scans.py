@@ -212,6 +212,16 @@ def test_foxglove_s_point_clouds(tmp_path: Path) -> None:
     assert set(cloud.fields) == {"t", "ring", "stamp_s"}
 
 
+def test_a_scan_may_be_empty(tmp_path: Path) -> None:
+    empty = [rec.ros_record("/points", T0 + 7, scan(T0 + 7, sweep(0)[:0])) for _ in range(3)]
+    tiles = ingest(
+        rec.write(tmp_path / "a.mcap", [*odometry(child="lidar"), *empty, *scans(), *empty]), min_range_m=0
+    )
+    assert tiles.index.count.sum() == 400
+    with pytest.raises(InputError, match="no point with finite x, y, z among 0"):
+        ingest(rec.write(tmp_path / "b.mcap", [*odometry(child="lidar"), *empty]))
+
+
 def test_only_the_range_that_is_wanted_stays(tmp_path: Path) -> None:
     file = rec.write(tmp_path / "a.mcap", [*odometry(child="lidar"), *scans()])
     far = np.concatenate([np.linalg.norm([sweep(k)[a] for a in "xyz"], axis=0) for k in range(10)])

@@ -22,6 +22,7 @@ from flexmap_tasks.model.source import Source
 
 PARAMS = PointCloudParams()
 POINTS = 3000
+WAVES = [(4, "1.3"), (5, "1.3"), (9, "1.4"), (10, "1.4")]
 FORMATS = [(0, "1.2"), (1, "1.2"), (2, "1.2"), (3, "1.2"), (6, "1.4"), (7, "1.4"), (8, "1.4")]
 
 
@@ -121,6 +122,16 @@ def test_copc_is_read_like_any_other(tmp_path: Path) -> None:
     }
 
 
+@pytest.mark.parametrize(("kind", "version"), WAVES)
+def test_waveform_packets_are_kept_as_numbers(tmp_path: Path, kind: int, version: str) -> None:
+    path = las(tmp_path, "cloud.las", kind, version)
+    cloud, truth = read(path), laspy.read(path)
+    np.testing.assert_array_equal(cloud.fields["wavepacket_offset"], truth["wavepacket_offset"])
+    np.testing.assert_array_equal(
+        cloud.fields["return_point_wave_location"], truth["return_point_wave_location"]
+    )
+
+
 def test_a_file_that_declares_a_map_s_system_is_told(tmp_path: Path) -> None:
     path = las(tmp_path, "cloud.laz", crs=25832)
     found = ingest_point_cloud(Source("cloud.laz", path), PARAMS).findings
@@ -133,6 +144,12 @@ def test_a_file_that_declares_a_map_s_system_is_told(tmp_path: Path) -> None:
 
 def patched(content: bytes, at: int, form: str, *values: float) -> bytes:
     return content[:at] + struct.pack(form, *values) + content[at + struct.calcsize(form) :]
+
+
+def _old_compressor(content: bytes) -> bytes:
+    """LAZ from before chunks; a LAS file without the record is cut instead."""
+    at = content.find(b"laszip encoded")
+    return patched(content, at + 52, "<H", 1) if at > 0 else content[:-1]
 
 
 HOSTILE = {
@@ -150,6 +167,7 @@ HOSTILE = {
     "point count": (lambda c: patched(c, 247, "<Q", 1 << 60), "points"),
     "one point more": (lambda c: patched(c, 247, "<Q", POINTS + 60_000), "points"),
     "scale": (lambda c: patched(c, 131, "<d", float("nan")), "scales must be positive"),
+    "compressor": (_old_compressor, "compressor 1 is not read|^bad.las"),
     "zero scale": (lambda c: patched(c, 139, "<d", 0.0), "scales must be positive"),
     "offset": (lambda c: patched(c, 155, "<d", float("inf")), "offsets finite"),
     "extended records": (lambda c: patched(c, 235, "<QI", 1 << 62, 5), "behind the file's end"),

@@ -103,6 +103,7 @@ def test_a_georeferenced_cloud_of_scans_lies_where_the_world_does(
     store = Store.open(tmp_path / "store")
     outcomes = run_local(store, map_update(config))
     cloud = released(store, outcomes)
+    assert outcomes["projector_file"].artifact.names() == ["map_projector_info.yaml"]
     assert list(cloud.fields) == ["intensity", "ring", "time", "stamp_s"]
     np.testing.assert_allclose(cloud.fields["stamp_s"], truth.moment[:, 0], atol=2e-6)
     np.testing.assert_array_equal(cloud.fields["ring"], truth.moment[:, 2])
