@@ -261,6 +261,7 @@ def _report(graph: Graph, config: FlexMapConfig, drawn: Drawn) -> None:
         "matches": conflated.matches if conflated else None,
         "transfers": enriched.field("transfers") if enriched else None,
         "lane_check": enriched.field("lane_check") if enriched else None,
+        "changes": conflated.changes if conflated else None,
         "map_findings": lanelets.field("findings") if lanelets else None,
         "transfer_findings": enriched.field("findings") if enriched else None,
         "bundle_findings": drawn.bundle_findings,
@@ -274,6 +275,8 @@ def _report(graph: Graph, config: FlexMapConfig, drawn: Drawn) -> None:
         quality=drawn.quality,
         gnss_use=adjusted.graph.field("gnss_use") if adjusted else None,
         held_out=adjusted.held_out if adjusted else None,
+        graph_nodes=adjusted.graph.field("nodes") if adjusted else None,
+        antenna=adjusted.antenna if adjusted else None,
         decided=conflated.decided if conflated else None,
         **shown,
     )

@@ -86,8 +86,8 @@ def conflate(graph: Graph, config: FlexMapConfig, maps: Maps, aligned: Aligned) 
     graph.publish("transfer.parquet", enriched.field("transfers"))
     graph.publish("lane_check.parquet", enriched.field("lane_check"))
     graph.publish("findings.parquet", enriched.field("findings"))
-    _compare_with_previous(graph, config, maps.lanelets, centerlines, placed, matches, aligned)
-    return Conflated(matches, matched.field("references"), enriched, decided)
+    changes = _compare_with_previous(graph, config, maps.lanelets, centerlines, placed, matches, aligned)
+    return Conflated(matches, matched.field("references"), enriched, decided, changes)
 
 
 def _placed(graph: Graph, config: FlexMapConfig, name: str, roads: Ref, aligned: Aligned) -> Ref:
@@ -104,10 +104,10 @@ def _placed(graph: Graph, config: FlexMapConfig, name: str, roads: Ref, aligned:
 def _compare_with_previous(
     graph: Graph, config: FlexMapConfig, lanelets: Ref, centerlines: Ref, placed: Ref, matches: Ref,
     aligned: Aligned,
-) -> None:  # fmt: skip
+) -> Ref | None:  # fmt: skip
     """What has become of the matched roads since another date of OpenStreetMap."""
     if config.osm is None or config.osm.previous is None:
-        return
+        return None
     then = graph.run_as(
         "ingest_previous_roads",
         ingest_osm_roads,
@@ -131,3 +131,4 @@ def _compare_with_previous(
         matches_after=matches,
     )
     graph.publish("road_changes.parquet", changes)
+    return changes

@@ -49,12 +49,13 @@ class Aligned:
 
 @dataclass(frozen=True, slots=True)
 class Conflated:
-    """What conflation decided, the enriched map, and what people had decided before."""
+    """What conflation decided, the enriched map, what people had decided, and what OSM changed."""
 
     matches: Ref
     references: Ref
     enriched: Ref
     decided: Ref | None
+    changes: Ref | None
 
 
 @dataclass(frozen=True, slots=True)

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 from flexmap_tasks.model.alignment import JudgedPoints, Warp
-from flexmap_tasks.model.conflation import LaneCheck, Matches, Transfers
+from flexmap_tasks.model.conflation import LaneCheck, Matches, RoadChanges, Transfers
 from flexmap_tasks.model.maps import Findings, LaneletMap, RoadNetwork
 from flexmap_tasks.model.projection import Projection
 from flexmap_tasks.model.tracks import GnssTrack, Trajectory
@@ -19,6 +19,7 @@ class Shown:
     slam, source_map : in the SLAM frame; warp : from there to the map frame, in which everything is drawn
     final_map : the finished map; map_warp : the warp to draw it with where it stayed in the SLAM frame
     matches : pieces of the lanelets of `source_map`; transfers, lane_check : lanelets of `final_map`
+    changes : of the matched roads since another date of OpenStreetMap
     """
 
     gathered: ClassVar[bool] = True
@@ -35,6 +36,7 @@ class Shown:
     matches: Matches | None
     transfers: Transfers | None
     lane_check: LaneCheck | None
+    changes: RoadChanges | None
     map_findings: Findings | None
     transfer_findings: Findings | None
     bundle_findings: Findings | None

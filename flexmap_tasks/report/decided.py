@@ -7,21 +7,21 @@ from typing import Any
 
 import numpy as np
 
-from flexmap_tasks.model.conflation import LaneCheck, Matches, Transfers
+from flexmap_tasks.model.conflation import LaneCheck, Matches, RoadChanges, Transfers
 from flexmap_tasks.model.review import Decided, ReviewDecisions
+from flexmap_tasks.model.shown import Shown
+from flexmap_tasks.report.review_items import change_words
 
 BY = "by a person"
 """Stands in every reason that a decision gave."""
 
 
-def decided_rows(
-    decided: Decided | None, matches: Matches | None, transfers: Transfers | None, check: LaneCheck | None
-) -> list[dict[str, Any]]:
+def decided_rows(decided: Decided | None, shown: Shown) -> list[dict[str, Any]]:
     """The decisions as the page knows them; `holds` is false where one met no row, for its ground has changed."""
     if decided is None:
         return []
     tables = (decided.values, decided.matches, decided.lanes, decided.fragments, decided.changes)
-    settled = _settled(matches, transfers, check)
+    settled = _settled(shown.matches, shown.transfers, shown.lane_check) | _changed(shown.changes)
     return [
         {**decision_row(table, d), "holds": _ground(table, d) in settled}
         for table in tables
@@ -47,6 +47,8 @@ def _ground(table: ReviewDecisions, d: int) -> tuple[Any, ...]:
     kind, lanelet = str(table.kind[d]), int(table.lanelet_id[d])
     if kind == "match":
         return kind, lanelet
+    if kind == "change":
+        return kind, *table.key_of(d)[1:]
     key = "" if kind == "lanes" else str(table.key[d])
     return kind, lanelet, int(table.way_id[d]), key
 
@@ -67,6 +69,13 @@ def _settled(
         for row in _by_people(check.reason).tolist():
             out.add(("lanes", int(check.lanelet_id[row]), int(check.way_id[row]), ""))
     return out
+
+
+def _changed(changes: RoadChanges | None) -> set[tuple[Any, ...]]:
+    if changes is None:
+        return set()
+    words = zip(changes.way_id.tolist(), *(c.tolist() for c in change_words(changes)), strict=True)
+    return {("change", *word) for word in words}
 
 
 def _by_people(reasons: np.ndarray) -> np.ndarray:

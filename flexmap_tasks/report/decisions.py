@@ -8,12 +8,13 @@ import numpy as np
 
 from flexmap_tasks.model import lanelets as lanes
 from flexmap_tasks.model.arrays import Floats, Ints
-from flexmap_tasks.model.conflation import LaneCheck, Matches, Transfers
+from flexmap_tasks.model.conflation import LaneCheck, Matches, RoadChanges, Transfers
 from flexmap_tasks.model.maps import Findings, LaneletMap, RoadNetwork
 from flexmap_tasks.model.osm import rows_of
+from flexmap_tasks.model.projection import Projection
 from flexmap_tasks.report.along import places_along
 from flexmap_tasks.report.embed import Json, Texts, millimetres, numbers
-from flexmap_tasks.report.review_items import ReviewItems
+from flexmap_tasks.report.review_items import ReviewItems, change_words
 
 LINK_EVERY_M = 15.0
 MOST_LINKS = 200
@@ -99,6 +100,26 @@ def lane_check_of(check: LaneCheck, texts: Texts) -> Json:
         "lanes_osm": numbers(check.lanes_osm, "i4"),
         "verdict": texts.column(check.verdict),
         "reason": texts.column(check.reason),
+    }
+
+
+def changes_of(changes: RoadChanges, projection: Projection, texts: Texts) -> Json:
+    """One row per change of a matched road; what it is, from what to what, and where."""
+    key, old, new = change_words(changes)
+    lonlat = np.column_stack([changes.lon_deg, changes.lat_deg])
+    return {
+        "way": numbers(changes.way_id, "i8"),
+        "kind": texts.column(changes.kind),
+        "key": texts.column(key),
+        "old": texts.column(old),
+        "new": texts.column(new),
+        "moved_m": numbers(np.nan_to_num(changes.moved_m, nan=-1.0), "f4"),
+        "version_old": numbers(changes.version_old, "i4"),
+        "version_new": numbers(changes.version_new, "i4"),
+        "time_old": texts.column(changes.timestamp_old),
+        "time_new": texts.column(changes.timestamp_new),
+        "lanelets": texts.column(changes.lanelets),
+        "xy": millimetres(projection.to_xy_m(lonlat) if len(changes) else np.zeros((0, 2))),
     }
 
 

@@ -8,7 +8,7 @@ from flexmap_tasks.geometry.polyline import arc_length_m, nearest_on_polyline
 from flexmap_tasks.geometry.sheet import affine_maps
 from flexmap_tasks.model.alignment import ControlPoints, RigidMotion, Warp
 from flexmap_tasks.model.arrays import Bools, Floats, Ints, strings
-from flexmap_tasks.model.pose_graph import GnssUse, HeldOut
+from flexmap_tasks.model.pose_graph import GnssUse, GraphNodes, HeldOut
 from flexmap_tasks.model.tracks import GnssTrack, Trajectory
 from flexmap_tasks.report.embed import Json, Texts, millimetres, numbers
 
@@ -16,6 +16,7 @@ MOST_ROWS = 40_000
 """A longer track is drawn by every second, third, ... row, so that the page stays small."""
 
 TIE_M = 1e-6
+MOST_TIES = 3_000
 
 
 def gnss_of(gnss: GnssTrack, use: GnssUse | None, texts: Texts) -> Json:
@@ -33,14 +34,22 @@ def gnss_of(gnss: GnssTrack, use: GnssUse | None, texts: Texts) -> Json:
     }
 
 
-def slam_of(slam: Trajectory, gnss: GnssTrack, warp: Warp, held_out: HeldOut | None) -> Json:
+Antenna = tuple[GraphNodes | None, Trajectory | None]
+"""Nodes of a pose graph, and where their antenna is."""
+
+
+def slam_of(
+    slam: Trajectory, gnss: GnssTrack, warp: Warp, held_out: HeldOut | None, antenna: Antenna | None = None
+) -> Json:
     """Poses by row: after the rigid start, after the warp, metres driven, both distances to the GNSS line, what the
     warp itself predicts, and the distance to GNSS that was withheld; -1 where a figure is not known.
+
+    The distance after the warp is the antenna's where the alignment knows its lever arm.
     """
     rows = _thinned(len(slam))
     before = warp.motion.apply_xy(slam.xyz_m[:, :2])
     after = warp.apply(slam.xyz_m)[:, :2]
-    distance, valid = deviation(after[rows], gnss)
+    distance, valid = deviation(_antenna_m(after, antenna)[rows], gnss)
     return {
         "before": millimetres(before[rows]),
         "after": millimetres(after[rows]),
@@ -51,6 +60,42 @@ def slam_of(slam: Trajectory, gnss: GnssTrack, warp: Warp, held_out: HeldOut | N
         "sigma": numbers(_known(warp.sigma_m(slam.xyz_m)[rows]), "f4"),
         "held_out": numbers(_withheld(held_out, rows), "f4"),
         "count": len(slam),
+    }
+
+
+def _antenna_m(after_m: Floats, antenna: Antenna | None) -> Floats:
+    """(n, 2) the antenna at every pose: from node to node it turns with the body."""
+    nodes, track = antenna or (None, None)
+    if nodes is None or track is None:
+        return after_m
+    lever, rows = track.xyz_m[:, :2] - nodes.xyz_m[:, :2], np.arange(len(after_m))
+    return after_m + np.column_stack([np.interp(rows, nodes.row, lever[:, i]) for i in (0, 1)])
+
+
+def ties_of(
+    gnss: GnssTrack, use: GnssUse | None, slam: Trajectory, warp: Warp, antenna: Antenna | None
+) -> Json | None:
+    """Which fix lies beside which place of the aligned antenna; some of many, only of fixes in use."""
+    used = np.arange(len(gnss)) if use is None else np.flatnonzero(use.used)
+    rows = used[:: max(1, -(-len(used) // MOST_TIES))]
+    track = _antenna_m(warp.apply(slam.xyz_m)[:, :2], antenna)
+    if len(track) < 2 or not len(rows):
+        return None
+    fix = gnss.xyz_m[rows, :2]
+    near = nearest_on_polyline(fix, track)
+    step = track[near.segment + 1] - track[near.segment]
+    place = track[near.segment] + near.share[:, None] * step
+    return {"fix": millimetres(fix), "place": millimetres(place)}
+
+
+def calibration_of(held_out: HeldOut | None) -> Json | None:
+    """What was predicted for places whose GNSS was withheld, and how far off they were."""
+    if held_out is None or not len(held_out):
+        return None
+    known = np.flatnonzero(np.isfinite(held_out.sigma_m) & np.isfinite(held_out.distance_m))
+    return {
+        "sigma": numbers(held_out.sigma_m[known], "f4"),
+        "error": numbers(held_out.distance_m[known], "f4"),
     }
 
 

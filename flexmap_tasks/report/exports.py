@@ -80,7 +80,7 @@ def export_layers(shown: Shown, aligned: Trajectory, params: ReportParams) -> di
     """
     final = final_map_of(shown)
     lanelets = make.lanes_of(final) if final is not None else None
-    items = review_items(shown.matches, shown.transfers, shown.lane_check)
+    items = review_items(shown.matches, shown.transfers, shown.lane_check, shown.changes)
     layers = _layers(shown, final, lanelets, items)
     files = _vector_files(params.map, layers)
     drawn = next((layer for layer in layers if layer.name == "lanelets" and lanelets), None)

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
+from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 
@@ -11,7 +13,7 @@ from flexmap_tasks.engine.stage import stage
 from flexmap_tasks.model.alignment import RigidMotion, Warp
 from flexmap_tasks.model.arrays import Floats
 from flexmap_tasks.model.maps import LaneletMap
-from flexmap_tasks.model.pose_graph import GnssUse, HeldOut
+from flexmap_tasks.model.pose_graph import GnssUse, GraphNodes, HeldOut
 from flexmap_tasks.model.projection import Projection
 from flexmap_tasks.model.quality import Quality
 from flexmap_tasks.model.review import Decided
@@ -29,44 +31,48 @@ GRID = 9
 """Nodes per side of the grid from which the page interpolates latitude and longitude; 1 cm at 5 km."""
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Judged:
+    """How the run was judged; None is what it did not make. A stage is fed with it field by field.
+
+    antenna : where the alignment has the antenna at each of `graph_nodes`; decided : by people, before this run
+    """
+
+    gathered: ClassVar[bool] = True
+
+    quality: Quality
+    gnss_use: GnssUse | None
+    held_out: HeldOut | None
+    graph_nodes: GraphNodes | None
+    antenna: Trajectory | None
+    decided: Decided | None
+
+
 @stage("report")
-def report(
-    shown: Shown,
-    quality: Quality,
-    gnss_use: GnssUse | None,
-    held_out: HeldOut | None,
-    decided: Decided | None,
-    params: ReportParams,
-) -> dict[str, bytes]:
-    """`report.html`; `decided` is what people decided before this run."""
-    return {REPORT_FILE: page(params.map, report_data(shown, quality, gnss_use, held_out, decided, params))}
+def report(shown: Shown, judged: Judged, params: ReportParams) -> dict[str, bytes]:
+    """`report.html`."""
+    return {REPORT_FILE: page(params.map, report_data(shown, judged, params))}
 
 
-def report_data(
-    shown: Shown,
-    quality: Quality,
-    gnss_use: GnssUse | None,
-    held_out: HeldOut | None,
-    decided: Decided | None,
-    params: ReportParams,
-) -> Json:
+def report_data(shown: Shown, judged: Judged, params: ReportParams) -> Json:
     """All that the page is told."""
     texts = Texts()
     final = final_map_of(shown)
     told = (shown.map_findings, shown.transfer_findings, shown.bundle_findings, shown.cloud_findings)
     found = [f for f in told if f is not None]
-    items = review_items(shown.matches, shown.transfers, shown.lane_check)
+    changes = judged.decided.changes if judged.decided else None
+    items = review_items(shown.matches, shown.transfers, shown.lane_check, shown.changes, changes)
     near = np.concatenate([shown.gnss.xyz_m[:, :2], *([final.xyz_m[:, :2]] if final is not None else [])])
     return {
-        **drive_data(shown.projection, shown.gnss, shown.slam, shown.warp, texts, near, gnss_use, held_out),
+        **drive_data(shown.projection, shown.gnss, shown.slam, shown.warp, texts, near, judged),
         **_conflation_data(shown, near, texts),
         "points": drive.points_of(shown.control_points, shown.warp, texts),
         "before": start_map(shown.source_map, shown.warp, texts),
         "after": maps.map_of(final, texts) if final is not None else None,
         "review": decisions.review_of(items, texts),
-        "decisions": decided_rows(decided, shown.matches, shown.transfers, shown.lane_check),
+        "decisions": decided_rows(judged.decided, shown),
         "findings": decisions.findings_of(found, final, texts),
-        "quality": [dataclasses.asdict(m) for m in quality.measures],
+        "quality": [dataclasses.asdict(m) for m in judged.quality.measures],
         "motion": _motion(shown.warp.motion),
         "map": params.map,
         "texts": texts.table(),
@@ -75,12 +81,16 @@ def report_data(
 
 def drive_data(
     projection: Projection, gnss: GnssTrack, slam: Trajectory, warp: Warp, texts: Texts, near: Floats,
-    gnss_use: GnssUse | None = None, held_out: HeldOut | None = None,
+    judged: Judged | None = None,
 ) -> Json:  # fmt: skip
     """The tracks, how they were brought together, and the frame they lie in."""
+    use, held_out = (judged.gnss_use, judged.held_out) if judged else (None, None)
+    antenna = (judged.graph_nodes, judged.antenna) if judged else None
     return {
-        "gnss": drive.gnss_of(gnss, gnss_use, texts),
-        "slam": drive.slam_of(slam, gnss, warp, held_out),
+        "gnss": drive.gnss_of(gnss, use, texts),
+        "slam": drive.slam_of(slam, gnss, warp, held_out, antenna),
+        "ties": drive.ties_of(gnss, use, slam, warp, antenna),
+        "calibration": drive.calibration_of(held_out),
         "sheet": drive.sheet_of(warp),
         "frame": frame_of(projection, near),
     }
@@ -107,6 +117,7 @@ def _conflation_data(shown: Shown, near: Floats, texts: Texts) -> Json:
         "matches": decisions.matches_of(matches, texts) if matches is not None else None,
         "transfers": decisions.transfers_of(transfers, texts) if transfers is not None else None,
         "lane_check": decisions.lane_check_of(check, texts) if check is not None else None,
+        "changes": decisions.changes_of(shown.changes, shown.projection, texts) if shown.changes else None,
     }
     if roads is None:
         return data

@@ -8,6 +8,7 @@ from pathlib import Path
 from cyclopts import App
 
 from flexmap_tasks.config import FlexMapConfig
+from flexmap_tasks.engine.execute import Outcome
 from flexmap_tasks.formats.config_file import load_config
 from flexmap_tasks.store.store import Store
 from flows import console
@@ -42,8 +43,14 @@ def edit(
     from flows.editor.editors import edit_server  # noqa: PLC0415 - loads the stages
 
     settings = load_config(FlexMapConfig, config, set_)
-    with edit_server(settings, Store.open(store), port) as server:
+    with edit_server(settings, Store.open(store), port, _told) as server:
         console.say(f"editing; open {server.address} (Ctrl+C ends it)")
         if browser:
             webbrowser.open(server.address)
         server.serve_forever()
+
+
+def _told(outcome: Outcome) -> None:
+    """A word on every stage that had to be computed: the first time takes as long as a run."""
+    if not outcome.cached:
+        console.say(f"computed {outcome.name}, {outcome.seconds:.1f} s")

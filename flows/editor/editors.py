@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from flexmap_tasks.config import FlexMapConfig
+from flexmap_tasks.engine.local import OnDone
 from flexmap_tasks.errors import ConfigError
 from flexmap_tasks.store.store import Store
 from flows.editor.review_session import ReviewSession
@@ -10,8 +11,10 @@ from flows.editor.server import EditServer
 from flows.editor.session import EditSession
 
 
-def edit_server(config: FlexMapConfig, store: Store, port: int = 0) -> EditServer:
+def edit_server(config: FlexMapConfig, store: Store, port: int = 0, done: OnDone | None = None) -> EditServer:
     """A server that listens already, with the pages whose files the configuration names.
+
+    done : what the review needs is computed first, and this is told of every stage as it ends
 
     Raises ConfigError where it names none of them, or where the port is taken.
     """
@@ -26,6 +29,8 @@ def edit_server(config: FlexMapConfig, store: Store, port: int = 0) -> EditServe
         raise ConfigError("configuration", rule)
     points = EditSession(config, store, points_file, places) if points_file else None
     review = ReviewSession(config, store, review_file, places) if reviewed and review_file else None
+    if review is not None and done is not None:
+        review.prepare(done)
     try:
         return EditServer(points, review, port)
     except (OSError, OverflowError) as error:

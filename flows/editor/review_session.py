@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from flexmap_tasks.config import FlexMapConfig, ReportParams
+from flexmap_tasks.engine.local import OnDone
 from flexmap_tasks.errors import InputError
 from flexmap_tasks.formats.review_decisions_csv import (
     HEADER,
@@ -34,12 +35,20 @@ class ReviewSession:
         """`file` is what decisions are saved to; `places` are the pages that there are."""
         self._config, self._store, self._file, self._places = config, store, SavedFile(file), places
 
+    def prepare(self, done: OnDone) -> None:
+        """Compute what the page needs, so that who opens it need not wait; told of every stage as it ends."""
+        inputs_of(self._store, map_update(_with_what_is_there(self._config)), "report", done)
+
     def page(self) -> bytes:
         """The map as the decisions of the file make it, with all that is still open; computes what is not there."""
         base = self._file.digest()
         graph = map_update(_with_what_is_there(self._config))
         params = ReportParams(map=self._config.map)
-        data = report_data(**inputs_of(self._store, graph, "report"), params=params)
+        given, outcomes = inputs_of(self._store, graph, "report")
+        data = report_data(**given, params=params)
+        data["stages"] = [
+            {"stage": o.name, "cached": o.cached, "seconds": round(o.seconds, 3)} for o in outcomes
+        ]
         data["editor"] = {"base": base, "file": self._file.name}
         return review_page(self._config.map, data, self._places)
 

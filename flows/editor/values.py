@@ -6,10 +6,10 @@ import typing
 from collections.abc import Iterable
 from typing import Any
 
-from flexmap_tasks.engine.execute import Engine
+from flexmap_tasks.engine.execute import Engine, Outcome
 from flexmap_tasks.engine.graph import Graph, Ref
 from flexmap_tasks.engine.keys import arguments, input_types
-from flexmap_tasks.engine.local import heal
+from flexmap_tasks.engine.local import OnDone, heal
 from flexmap_tasks.store.artifact import Artifact
 from flexmap_tasks.store.store import Store
 
@@ -20,13 +20,21 @@ def values_of(store: Store, graph: Graph, stages: Iterable[str]) -> dict[str, An
     return heal(lambda: _values(Engine(store), graph, wanted))
 
 
-def inputs_of(store: Store, graph: Graph, stage: str) -> dict[str, Any]:
-    """What a stage is called with, its params left out; the stage itself does not run."""
-    return heal(lambda: _inputs(Engine(store), graph, stage))
+def inputs_of(
+    store: Store, graph: Graph, stage: str, done: OnDone = lambda _outcome: None
+) -> tuple[dict[str, Any], list[Outcome]]:
+    """What a stage is called with, its params left out, and what became of the stages before; it does not run.
+
+    done : told of every stage as it ends
+    """
+    return heal(lambda: _inputs(Engine(store), graph, stage, done))
 
 
 def _values(engine: Engine, graph: Graph, wanted: list[str]) -> dict[str, Any]:
-    artifacts = _artifacts(engine, graph, set(wanted))
+    artifacts = {
+        outcome.name: outcome.artifact
+        for outcome in _outcomes(engine, graph, set(wanted), lambda _outcome: None)
+    }
     values = {}
     for name in wanted:
         stage = graph.nodes[name].stage
@@ -35,23 +43,28 @@ def _values(engine: Engine, graph: Graph, wanted: list[str]) -> dict[str, Any]:
     return values
 
 
-def _inputs(engine: Engine, graph: Graph, stage: str) -> dict[str, Any]:
+def _inputs(engine: Engine, graph: Graph, stage: str, done: OnDone) -> tuple[dict[str, Any], list[Outcome]]:
     node = graph.nodes[stage]
-    artifacts = _artifacts(engine, graph, set(node.upstream()))
+    outcomes = _outcomes(engine, graph, set(node.upstream()), done)
+    artifacts = {outcome.name: outcome.artifact for outcome in outcomes}
     kinds = input_types(node.stage)
     bound = {name: engine.bind(ref, artifacts) for name, ref in node.inputs.items()}
-    return arguments(node.stage, {name: engine.load(b, kinds[name]) for name, b in bound.items()})
+    given = arguments(node.stage, {name: engine.load(b, kinds[name]) for name, b in bound.items()})
+    return given, outcomes
 
 
-def _artifacts(engine: Engine, graph: Graph, wanted: set[str]) -> dict[str, Artifact]:
-    """Artifacts of the wanted nodes and of all they wait for."""
+def _outcomes(engine: Engine, graph: Graph, wanted: set[str], done: OnDone) -> list[Outcome]:
+    """The wanted nodes and all they wait for, in the order in which they ran."""
     needed = set(wanted)
     for node in reversed(list(graph)):
         if node.name in needed:
             needed |= set(node.upstream())
     artifacts: dict[str, Artifact] = {}
+    outcomes = []
     for node in graph:
         if node.name in needed:
             bound = {name: engine.bind(ref, artifacts) for name, ref in node.inputs.items()}
-            artifacts[node.name] = engine.run(node, bound).artifact
-    return artifacts
+            outcomes.append(engine.run(node, bound))
+            artifacts[node.name] = outcomes[-1].artifact
+            done(outcomes[-1])
+    return outcomes

@@ -15,8 +15,14 @@ from report_large import many
 from report_runs import garching as garching_config
 from report_runs import inputs_of
 
+from flexmap_tasks.formats.review_decisions_csv import decisions_of
+from flexmap_tasks.model.alignment import Warp
 from flexmap_tasks.model.arrays import strings
+from flexmap_tasks.model.bend import Bend
+from flexmap_tasks.model.conflation import RoadChanges
 from flexmap_tasks.model.osm import Tags
+from flexmap_tasks.model.pose_graph import HeldOut
+from flexmap_tasks.model.review import Decided
 from flexmap_tasks.report.review_items import review_items
 
 HOSTILE = [
@@ -33,7 +39,7 @@ HOSTILE = [
 ]
 LAYERS = [
     "roads", "before", "after", "lanes", "changed", "sheet", "gnss", "slam_before", "slam_after", "links", "points",
-    "review", "findings",
+    "review", "findings", "ties",
 ]  # fmt: skip
 
 
@@ -68,6 +74,75 @@ def test_every_layer_draws(shown: Any, scheme: str) -> None:
         shown.page.uncheck(f"#layer-{name}")
     assert len({tuple(s) for s in seen}) == len(LAYERS)
     assert shown.complaints == []
+
+
+def adjusted(inputs: dict[str, Any]) -> dict[str, Any]:
+    """As if a pose graph had moved the drive, GNSS had been withheld, and OSM had changed."""
+    slam, motion = inputs["slam"], inputs["warp"].motion
+    n, zero = len(slam), np.zeros(len(slam))
+    source = np.ascontiguousarray(slam.xyz_m[:, :2])
+    target = motion.apply_xy(source) + np.column_stack([zero + 1.0, np.linspace(0, 3, n)])
+    bend = Bend(
+        source, target, zero + motion.angle_rad, zero + 1, zero, np.linspace(0.01, 0.4, n), zero, zero + 8.0
+    )
+    rows = np.arange(0, n, 2)
+    error = np.linspace(0.02, 0.3, len(rows))
+    ways, words = inputs["roads"].way_id[:4], strings(["", "", "", "50"])
+    lonlat = inputs["roads"].lonlat_deg[inputs["roads"].offset[:4]]
+    changes = RoadChanges(
+        ways, strings(["geometry", "gone", "new", "tag"]), strings(["", "", "", "maxspeed"]), words,
+        strings(["", "", "", HOSTILE[0]]), np.array([7.5, np.nan, np.nan, np.nan]), np.array([1, 2, 0, 4]), np.array([2, 0, 1, 5]),
+        strings(["2020-01-01T00:00:00Z"] * 4), strings(["2024-01-01T00:00:00Z"] * 4), strings(["", "", "", "665 823"]),
+        lonlat[:, 0], lonlat[:, 1],
+    )  # fmt: skip
+    return inputs | {
+        "warp": Warp(motion, None, bend=bend), "held_out": HeldOut(rows, rows * 1.0, error, error * 0.8), "changes": changes,
+    }  # fmt: skip
+
+
+def test_a_pose_graph_shows_its_corrections_sigma_and_reliability(
+    open_report: Callable[..., Any], garching: dict[str, Any]
+) -> None:
+    shown = open_report(adjusted(garching))
+    for box in shown.page.query_selector_all("#layers input:checked"):
+        box.uncheck()
+    for name in ("sigma", "corrections", "ties", "changes"):
+        shown.page.check(f"#layer-{name}")
+        assert any(shown.pixels()), f"{name} draws nothing"
+        shown.page.uncheck(f"#layer-{name}")
+    shown.page.click("[data-tab=reliability]")
+    assert shown.page.locator("#panel canvas").count() == 2
+    shown.page.click("[data-tab=changes]")
+    assert [(r["what"], r["now"]) for r in _export(shown)][3] == ("tag", HOSTILE[0])
+    assert shown.complaints == []
+
+
+def test_changes_of_osm_are_reviewed_and_kept(
+    open_report: Callable[..., Any], garching: dict[str, Any]
+) -> None:
+    shown = open_report(adjusted(garching))
+    shown.page.keyboard.press("p")
+    assert "OSM change" in shown.page.inner_text("#inspector .question small")
+    assert HOSTILE[0] in shown.page.inner_text("#inspector .question")
+    shown.page.keyboard.press("y")
+    with shown.page.expect_download() as waiting:
+        shown.page.keyboard.press("Control+s")
+    (row,) = csv.DictReader(io.StringIO(Path(waiting.value.path()).read_text("utf-8-sig"), newline=""))
+    assert (row["kind"], row["key"], row["new"], row["decision"]) == (
+        "change",
+        "maxspeed",
+        HOSTILE[0],
+        "accept",
+    )
+    nothing = decisions_of([])
+    decided = Decided(nothing, nothing, nothing, nothing, decisions_of([row]))
+    again = open_report(adjusted(garching) | {"decided": decided})
+    assert again.page.locator("#stepper span").inner_text().split()[0] == str(
+        int(shown.page.inner_text("#figures .is-review b"))
+    )
+    again.page.click("[data-tab=decisions]")
+    assert again.page.locator("#panel .is-holds").count() == 1
+    assert again.complaints == []
 
 
 def test_views_switch_layers_and_legends(shown: Any) -> None:

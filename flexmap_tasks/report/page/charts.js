@@ -83,13 +83,67 @@ function histogramChart(node, size) {
   }, [edges, ...shares], node);
 }
 
-/** Both charts, side by side, as large as the panel allows. */
-function drawCharts(panel) {
+const rootMeanSquare = (values) => Math.sqrt(values.reduce((sum, v) => sum + v * v, 0) / values.length);
+
+/** Predicted against met: bins of equal count by predicted sigma, and the root mean square error of each. */
+function calibration() {
+  const { sigma, error } = data.calibration, order = Array.from(sigma.keys()).sort((a, b) => sigma[a] - sigma[b]);
+  const bins = Math.max(1, Math.min(10, Math.floor(order.length / 20))), out = { predicted: [], met: [] };
+  for (let b = 0; b < bins; b++) {
+    const rows = order.slice(Math.floor((b * order.length) / bins), Math.floor(((b + 1) * order.length) / bins));
+    out.predicted.push(rootMeanSquare(rows.map((i) => sigma[i])));
+    out.met.push(rootMeanSquare(rows.map((i) => error[i])));
+  }
+  return out;
+}
+
+function calibrationChart(node, size) {
+  const { predicted, met } = calibration(), colours = chartColours(), top = 1.1 * Math.max(...predicted, ...met);
+  const show = (_, v) => (v === null || v === undefined ? "–" : `${number(v, 3)} m`);
+  const x = [0, ...predicted, top], line = x.slice();
+  return new uPlot({
+    ...size, title: "Where GNSS was withheld: predicted σ and the error that was met",
+    cursor: { points: { size: 6 }, drag: { x: false, y: false } },
+    scales: { x: { time: false, range: () => [0, top] }, y: { range: () => [0, top] } },
+    axes: [axis("predicted σ, m", { size: 26, labelSize: 15 }), axis("RMS error, m", { size: 50 })],
+    series: [{ label: "predicted", value: show },
+      { label: "met", stroke: colours.after, width: 1.8, value: show, points: { show: true, size: 6 }, spanGaps: true },
+      { label: "as predicted", stroke: colours.axis, width: 1, dash: [5, 5], value: show, points: { show: false } }],
+  }, [x, [null, ...met, null], line], node);
+}
+
+/** Metres of lanes by the confidence of their match; 20 bins. */
+function confidenceChart(node, size) {
+  const m = data.matches, bins = 20, parts = { match: new Array(bins).fill(0), review: new Array(bins).fill(0) };
+  m.confidence.forEach((c, i) => { if (parts[m.decision[i]] && m.way[i] !== "0") parts[m.decision[i]][Math.min(bins - 1, Math.floor(c * bins))] += m.s_to_m[i] - m.s_from_m[i]; });
+  const edges = Array.from({ length: bins }, (_, i) => (i + 0.5) / bins), bars = uPlot.paths.bars({ size: [0.9, 100] });
+  const log = (values) => values.map((v) => (v > 0 ? v : null)), show = (_, v) => (v === null || v === undefined ? "–" : `${number(v, 0)} m`);
+  const top = Math.max(10, ...parts.match, ...parts.review), colours_ = chartColours();
+  const decades = (_, splits) => splits.map((v) => (Number.isInteger(Math.log10(v)) ? v : null));
+  return new uPlot({
+    ...size, title: "Length of lanes by confidence of the match",
+    cursor: { points: { show: false }, drag: { x: false, y: false } },
+    scales: { x: { time: false, range: () => [0, 1] }, y: { distr: 3, log: 10, range: () => [1, 10 ** Math.ceil(Math.log10(top))] } },
+    axes: [axis("confidence", { size: 26, labelSize: 15 }), axis("length, m", { size: 56, grid: { stroke: colours_.grid, width: 1, filter: decades }, ticks: { show: false } })],
+    series: [{ label: "about", value: (_, v) => (v === null || v === undefined ? "–" : number(v, 2)) },
+      { label: "matched", stroke: inks.get("slam-after"), fill: inks.get("slam-after-fill"), width: 1.4, paths: bars, value: show, points: { show: false } },
+      { label: "review", stroke: inks.get("review"), fill: inks.get("shade"), width: 1.4, paths: bars, value: show, points: { show: false } }],
+  }, [edges, log(parts.match), log(parts.review)], node);
+}
+
+/** Charts side by side, as large as the panel allows: [maker, share of the width]. */
+function drawSideBySide(panel, makers) {
   charts.splice(0).forEach((chart) => chart.destroy());
-  const width = panel.clientWidth, height = Math.max(120, panel.clientHeight - 54);
-  const wide = width > 760, share = wide ? 0.62 : 1;
-  const boxes = [el("div", { class: "chart" }), el("div", { class: "chart" })];
+  const width = panel.clientWidth, height = Math.max(120, panel.clientHeight - 54), wide = width > 760;
+  const boxes = makers.map(() => el("div", { class: "chart" }));
   panel.replaceChildren(el("div", { class: "charts" }, boxes));
-  charts.push(routeChart(boxes[0], { width: Math.floor(width * share) - 16, height }));
-  charts.push(histogramChart(boxes[1], { width: Math.floor(wide ? width * (1 - share) : width) - 16, height }));
+  makers.forEach(([make, share], i) => charts.push(make(boxes[i], { width: Math.floor(width * (wide ? share : 1)) - 16, height })));
+}
+
+function drawCharts(panel) {
+  drawSideBySide(panel, [[routeChart, 0.62], [histogramChart, 0.38]]);
+}
+
+function drawReliability(panel) {
+  drawSideBySide(panel, [data.calibration && [calibrationChart, 0.5], data.matches && [confidenceChart, 0.5]].filter(Boolean));
 }

@@ -8,6 +8,10 @@ const legends = {
   lanes: () => VERDICTS.map((verdict) => [`lanes-${verdict}`, words[verdict]]),
   changed: () => ["1 decision", "2 decisions", "3 and more"].map((text, i) => [`changed-${i}`, text]),
   sheet: () => [["sheet", "aligned"], ["sheet-before", "rigid start"]],
+  sigma: () => SIGMAS.map((limit, i) => [`sigma-${i}`, i === SIGMAS.length - 1 ? `over ${SIGMAS[i - 1]} m` : `up to ${limit} m`]),
+  ties: () => [["ties", "fix to aligned antenna"]],
+  corrections: () => [["corrections", "from the rigid start to the aligned place"]],
+  changes: () => [["changes", "changed"], ["changes-gone", "gone"], ["changes-new", "new"]],
   points: () => [["point", "used"], ["point-unused", "not used"]],
   review: () => [["review", "open"], ["decided", "decided"]],
   findings: () => ["error", "warning", "info"].map((s) => [`finding-${s}`, s]),
@@ -123,23 +127,27 @@ $("search").addEventListener("keydown", (event) => {
 
 const tables = {};
 const TABS = [
-  ["deviation", "Deviation", null, true],
+  ["deviation", "Deviation", drawCharts, true],
+  ["reliability", "Reliability", drawReliability, Boolean(data.calibration || data.matches)],
   ["quality", "Quality", qualityTable, true],
   ["transfers", "Attributes", transferTable, Boolean(data.transfers)],
   ["review", "Review", reviewTable, data.review.row.length > 0],
   ["decisions", "Decisions", decisionTable, data.review.row.length + decided.size > 0],
   ["lanes", "Lane check", laneTable, Boolean(data.lane_check)],
   ["points", "Control points", pointTable, Boolean(points)],
+  ["changes", "OSM changes", changeTable, Boolean(data.changes?.way.length)],
+  ["stages", "Stages", stageTable, Boolean(data.stages)],
   ["findings", "Findings", findingTable, Boolean(findings?.id.length)],
 ].filter(([, , , there]) => there);
+const CHART_TABS = new Set(["deviation", "reliability"]);
 let openTab = "deviation";
 
 function showTab(id) {
   openTab = id;
   for (const button of $("tabs").children) button.setAttribute("aria-selected", String(button.dataset.tab === id));
-  const make = TABS.find(([name]) => name === id)[2];
-  for (const name of ["table-filter", "export"]) $(name).hidden = !make;
-  if (!make) return drawCharts($("panel"));
+  const make = TABS.find(([name]) => name === id)[2], drawn = CHART_TABS.has(id);
+  for (const name of ["table-filter", "export"]) $(name).hidden = drawn;
+  if (drawn) return make($("panel"));
   charts.splice(0).forEach((chart) => chart.destroy());
   tables[id] ??= make();
   $("panel").replaceChildren(tables[id].node);

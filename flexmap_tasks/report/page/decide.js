@@ -27,6 +27,10 @@ function asked(i) {
     const c = data.lane_check;
     return { kind, lanelet_id: c.lanelet[row], way_id: c.way[row], ...plain, key: "lanes", old: String(c.lanes_map[row]), new: String(c.lanes_osm[row]) };
   }
+  if (kind === "change") {
+    const c = data.changes;
+    return { kind, lanelet_id: "0", way_id: c.way[row], ...plain, key: c.key[row], old: c.old[row], new: c.new[row] };
+  }
   const t = data.transfers;
   return { kind, lanelet_id: t.lanelet[row], way_id: t.way[row], ...plain, key: t.key[row], old: t.old[row], new: t.new[row] };
 }
@@ -82,6 +86,7 @@ function nextOpen() {
 const VERBS = {
   value: ["Accept", "Reject"], match: ["Accept this way", "No way"], lanes: ["OSM is right", "Map is right"],
   fragment: ["Take it out", "Keep it"], count: ["OSM is right", "Map is right"], cut: ["Seen", null],
+  change: ["Seen, it is right", "OSM is wrong"],
 };
 
 /** The buttons for one thing to be decided on. */
@@ -154,7 +159,7 @@ function showDecided() {
   $("decided").textContent = `Save ${changes} decision${changes === 1 ? "" : "s"}`;
   document.title = `${changes ? "• " : ""}${data.map} · FlexMap ${data.editor ? "review" : "report"}`;
   headline();
-  tables.decisions = undefined;
+  delete tables.decisions;
   tables.review?.fill(true);
   if (openTab === "decisions" && !$("main").classList.contains("folded")) showTab("decisions");
   scene.redraw();
@@ -216,7 +221,7 @@ function decisionTable() {
       event.stopPropagation();
       changeDecisions(() => decided.delete(ground(rows[i])));
     } }, "×") },
-  ], { open: (i) => select("lanelet", rows[i].lanelet_id, true) });
+  ], { open: (i) => (rows[i].lanelet_id === "0" ? select("way", rows[i].way_id, true) : select("lanelet", rows[i].lanelet_id, true)) });
 }
 
 addEventListener("beforeunload", (event) => { if (unsaved()) event.preventDefault(); });

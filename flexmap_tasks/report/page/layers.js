@@ -106,3 +106,35 @@ function label(view, text, x, y, right_px, down_px) {
   ctx.fillText(text, 0, 0);
   ctx.restore();
 }
+
+const ties = data.ties && { fix: metres(data.ties.fix), place: metres(data.ties.place) };
+
+function drawTies(view) {
+  made("ties", () => {
+    const paths = new Paths();
+    for (let i = 0; i < ties.fix.length; i += 2) paths.add([ties.fix[i], ties.fix[i + 1], ties.place[i], ties.place[i + 1]], false);
+    return paths;
+  }).stroke(view, inks.get("ties"), 1.3);
+  for (let i = 0; view.k >= 4 && i < ties.fix.length; i += 2) {
+    if (inView(view, ties.fix[i], ties.fix[i + 1])) disc(view, ties.fix[i], ties.fix[i + 1], 2.2, inks.get("ties"), null);
+  }
+}
+
+/** Arrows from where the rigid start leaves the drive to where the alignment has it, one every 40 pixels or 10 m. */
+function drawCorrections(view) {
+  const apart = Math.max(10, 40 * view.px);
+  let last = -Infinity;
+  for (let i = 0; i < slam.driven.length; i++) {
+    if (slam.driven[i] - last < apart) continue;
+    last = slam.driven[i];
+    const [bx, by, ax, ay] = [slam.before[2 * i], slam.before[2 * i + 1], slam.after[2 * i], slam.after[2 * i + 1]];
+    if (inView(view, ax, ay, 100)) arrow(view, bx, by, ax, ay, inks.get("sheet"), 1.4);
+  }
+}
+
+const SIGMAS = [0.02, 0.05, 0.1, 0.2, Infinity];
+
+function drawSigma(view) {
+  made("sigma", () => SIGMAS.map((_, level) => trackPaths(slam.after, (i) => i === 0 || SIGMAS.findIndex((limit) => slam.sigma[i] <= limit) !== level)))
+    .forEach((paths, level) => paths.stroke(view, inks.get(`sigma-${level}`), 5));
+}

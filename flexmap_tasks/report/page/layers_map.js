@@ -146,6 +146,27 @@ function placeOfFinding(row) {
   return [roads.xy[2 * middle], roads.xy[2 * middle + 1]];
 }
 
+const changePlaces = data.changes ? metres(data.changes.xy) : [];
+
+/** A square on the middle of every way that OSM changed, the way itself in the same colour. */
+function drawChanges(view) {
+  const { ctx, px } = view, c = data.changes;
+  made("osmChanges", () => {
+    const paths = new Paths();
+    for (const way of new Set(c.way)) if (roads?.rowOf.has(way)) paths.add(courseOf(way), false);
+    return paths;
+  }).stroke(view, inks.get("changes"), 3.2);
+  for (let row = 0; row < c.way.length; row++) {
+    const x = changePlaces[2 * row], y = changePlaces[2 * row + 1], r = 5 * px;
+    if (!inView(view, x, y)) continue;
+    ctx.fillStyle = inks.get(c.kind[row] === "gone" ? "changes-gone" : c.kind[row] === "new" ? "changes-new" : "changes");
+    ctx.fillRect(x - r, y - r, 2 * r, 2 * r);
+    ctx.strokeStyle = inks.get("map");
+    ctx.lineWidth = 1.4 * px;
+    ctx.strokeRect(x - r, y - r, 2 * r, 2 * r);
+  }
+}
+
 function drawFindings(view) {
   const { ctx, px } = view;
   for (let row = 0; row < findings.id.length; row++) {
@@ -174,6 +195,10 @@ if (sheet) addLayer({ id: "sheet", group: "Drive", name: "Rubber sheet", swatch:
 addLayer({ id: "gnss", group: "Drive", name: "GNSS by quality", swatch: "gnss", count: data.gnss.count, draw: drawGnss });
 addLayer({ id: "slam_before", group: "Drive", name: "SLAM, rigid start", swatch: "slam-before", count: data.slam.count, draw: (view) => beforePaths.stroke(view, inks.get("slam-before"), 2.4, [7, 5]) });
 addLayer({ id: "slam_after", group: "Drive", name: "SLAM, aligned", swatch: "slam-after", count: data.slam.count, draw: (view) => afterPaths.stroke(view, inks.get("slam-after"), 2.6) });
+if (slam.sigma.some((v) => v >= 0)) addLayer({ id: "sigma", group: "Drive", name: "Predicted σ", swatch: "sigma", count: data.slam.count, draw: drawSigma });
+if (!sheet && data.slam.count) addLayer({ id: "corrections", group: "Drive", name: "Pose corrections", swatch: "corrections", count: data.slam.count, draw: drawCorrections });
+if (ties) addLayer({ id: "ties", group: "Drive", name: "Correspondences", swatch: "ties", count: ties.fix.length / 2, draw: drawTies });
+if (data.changes?.way.length) addLayer({ id: "changes", group: "Conflation", name: "OSM changes", swatch: "changes", count: data.changes.way.length, draw: drawChanges });
 if (links) addLayer({ id: "links", group: "Conflation", name: "Match links", swatch: "links", count: data.matches.lanelet.length, draw: drawLinks });
 if (data.review.row.length) addLayer({ id: "review", group: "Conflation", name: "Review items", swatch: "review", count: data.review.row.length, draw: drawReview });
 if (findings?.id.length) addLayer({ id: "findings", group: "Conflation", name: "Findings", swatch: "finding", count: findings.id.length, draw: drawFindings });
@@ -181,7 +206,7 @@ if (points) addLayer({ id: "points", group: "Drive", name: "Control points", swa
 
 const VIEWS = [
   ["Overview", ["roads", "after", "slam_after", "review", "points"]],
-  ["Alignment", ["before", "after", "gnss", "slam_before", "slam_after", "points", "sheet"]],
+  ["Alignment", ["before", "after", "gnss", "slam_before", "slam_after", "points", "sheet", "corrections"]],
   ["Matching", ["roads", "after", "links"]],
   ["Lanes", ["roads", "lanes", "after"]],
   ["Attributes", ["roads", "after", "changed", "review"]],

@@ -30,7 +30,7 @@ function setTheme(theme) {
   $("theme").textContent = `Theme: ${theme}`;
   inks.cache.clear();
   scene.redraw();
-  if (openTab === "deviation" && !$("main").classList.contains("folded")) drawCharts($("panel"));
+  if (CHART_TABS.has(openTab) && !$("main").classList.contains("folded")) showTab(openTab);
 }
 $("theme").addEventListener("click", () => setTheme(THEMES[(THEMES.indexOf(document.documentElement.dataset.theme) + 1) % 3]));
 matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => setTheme(document.documentElement.dataset.theme));

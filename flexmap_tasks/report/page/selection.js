@@ -74,7 +74,7 @@ function boxOfSelection(kind, id) {
 function select(kind, id = null, go = false) {
   Object.assign(state, { kind, id });
   state.offer = null;
-  if (state.item >= 0 && !(kind === "lanelet" && data.review.lanelet[state.item] === id)) setItem(-1);
+  if (state.item >= 0) setItem(-1);
   showDetails(kind, id);
   const box = kind && boxOfSelection(kind, id);
   if (go && box) {
@@ -181,14 +181,17 @@ function stepTo(i) {
   if (layer("review")) setLayer("review", true);
   choosing(null);
   setItem(i);
-  select("lanelet", data.review.lanelet[i], true);
+  // A change is about a way; where the report does not show it, a lanelet on it must do.
+  const way = data.review.kind[i] === "change" ? data.changes.way[data.review.row[i]] : null;
+  if (way && roads?.rowOf.has(way)) select("way", way, true);
+  else select("lanelet", data.review.lanelet[i], true);
   setItem(i);
   const { subject, have, offer, why } = question(i), about = asked(i);
   state.offer = about.way_id;
   $("inspector").querySelector(".notice")?.remove();
   $("inspector").querySelector(".heading")?.after(el("div", { class: "question" },
     el("small", {}, `Review ${i + 1} of ${data.review.row.length} · ${KINDS[data.review.kind[i]]}`),
-    el("p", {}, foreign(subject), ": map ", el("b", {}, have === "" ? "–" : foreign(have)), ", OSM ", el("b", {}, offer === "" ? "–" : foreign(offer))),
+    el("p", {}, foreign(subject), data.review.kind[i] === "change" ? ": was " : ": map ", el("b", {}, have === "" ? "–" : foreign(have)), data.review.kind[i] === "change" ? ", is " : ", OSM ", el("b", {}, offer === "" ? "–" : foreign(offer))),
     el("p", { class: "reason" }, foreign(why)),
     decisionButtons(about)));
   scene.redraw();

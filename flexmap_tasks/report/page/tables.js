@@ -136,6 +136,10 @@ function question(i) {
     const m = data.matches;
     return { subject: "way", have: "", offer: m.way[row] === "0" ? "" : m.way[row], why: m.reason[row] };
   }
+  if (kind === "change") {
+    const c = data.changes, moved = c.moved_m[row] >= 0 ? `; its course moved by ${number(c.moved_m[row], 1)} m` : "";
+    return { subject: c.key[row], have: c.old[row], offer: c.new[row], why: `OSM way ${c.way[row]}: version ${c.version_old[row] || "–"} to ${c.version_new[row] || "–"}, ${c.time_new[row].slice(0, 10) || "gone"}${moved}` };
+  }
   const c = data.lane_check;
   return { subject: "lanes", have: String(c.lanes_map[row]), offer: String(c.lanes_osm[row]), why: c.reason[row] };
 }
@@ -187,6 +191,32 @@ function findingTable() {
     { name: "id", width: 110, get: (i) => (findings.id[i] === "0" ? "" : findings.id[i]) },
     { name: "message", get: (i) => findings.message[i] },
   ], { open: openFinding });
+}
+
+function changeTable() {
+  const c = data.changes;
+  return new Table("osm_changes", c.way.length, [
+    { name: "way", width: 110, get: (i) => c.way[i] },
+    { name: "what", width: 90, get: (i) => c.kind[i] },
+    { name: "tag", width: 130, get: (i) => (c.kind[i] === "tag" ? c.key[i] : "") },
+    { name: "before", width: 140, get: (i) => c.old[i] },
+    { name: "now", width: 140, get: (i) => c.new[i] },
+    { name: "moved, m", width: 84, number: true, digits: 1, get: (i) => (c.moved_m[i] < 0 ? NaN : c.moved_m[i]) },
+    { name: "versions", width: 80, get: (i) => `${c.version_old[i] || "–"} → ${c.version_new[i] || "–"}` },
+    { name: "changed", width: 96, get: (i) => c.time_new[i], show: (i) => c.time_new[i].slice(0, 10) },
+    { name: "lanelets", get: (i) => c.lanelets[i] },
+  ], { open: (i) => { if (roads?.rowOf.has(c.way[i])) select("way", c.way[i], true); else goTo(changePlaces[2 * i], changePlaces[2 * i + 1]); } });
+}
+
+/** What ran for this page, and how long it takes when it is not in the store. */
+function stageTable() {
+  const s = data.stages;
+  return new Table("stages", s.length, [
+    { name: "stage", width: 240, get: (i) => readable(s[i].stage) },
+    { name: "state", width: 110, get: (i) => (s[i].cached ? "cached" : "computed"), show: (i) => badge(s[i].cached ? "cached" : "computed") },
+    { name: "computing takes, s", width: 172, number: true, digits: 2, get: (i) => s[i].seconds },
+    { name: "", get: () => "", show: (i) => { const bar = el("i", { class: `time ${s[i].cached ? "" : "ran"}` }); bar.style.width = `${(100 * s[i].seconds) / Math.max(...s.map((x) => x.seconds), 1e-9)}%`; return bar; } },
+  ]);
 }
 
 function openFinding(i) {

@@ -40,6 +40,7 @@ const words = {
   set: "set", keep: "kept", review: "review", split: "cut", remove: "removed",
   match: "matched", none: "no match", agree: "agree", differ: "differ", unknown: "unknown", unmatched: "unmatched",
   open: "open", accept: "accepted", reject: "rejected", new: "not saved", saved: "saved", holds: "holds", gone: "no longer holds", ok: "ok",
+  cached: "cached", computed: "computed", change: "OSM change",
   error: "error", warning: "warning", info: "info",
 };
 
