@@ -120,8 +120,9 @@ class SensorPose(Params):
 class ScanParams(Params):
     """How scans of a recording become a cloud."""
 
-    topic: str | None = Field(
-        None, description="of a recording: MCAP topic of the scans; may stay empty when only one fits"
+    topic: str | Annotated[tuple[str, ...], Field(min_length=1)] | None = Field(
+        None,
+        description="of a recording: MCAP topic of the scans, or a list; may stay empty when only one fits",
     )
     sensor_pose: SensorPose | None = Field(
         None, description="overrules the recording's transforms from the body to the sensor"
@@ -139,6 +140,12 @@ class ScanParams(Params):
     pose_gap_s: Positive = Field(
         1.0, description="no point is placed between poses further apart, unless the vehicle stood still"
     )
+
+    @model_validator(mode="after")
+    def _one_sensor_at_one_place(self) -> ScanParams:
+        if self.sensor_pose is not None and isinstance(self.topic, tuple) and len(self.topic) > 1:
+            raise ValueError("sensor_pose is the place of one sensor, but topic names several")
+        return self
 
 
 class PointCloudInput(PcdParams, ScanParams, PointCloudParams):

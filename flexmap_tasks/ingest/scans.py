@@ -6,8 +6,8 @@ where the points carry no time, by the pose at the scan's.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from itertools import islice
+from collections.abc import Iterator, Sequence
+from itertools import chain, islice
 from typing import Any
 
 import numpy as np
@@ -47,36 +47,79 @@ def ingest_scans(source: Source, slam: Trajectory, poses: Source, params: ScanTi
     source : the recording with the scans; slam : the poses; poses : the file they come from, which may say of
     which frame they are. Raises InputError where the place of the sensor is not known or no scan can be placed.
     """
-    scans = PlacedScans(source, slam, poses, params)
-    return tile_cloud(scans, source.name, params.tiles)
+    topics = params.scans.topic if isinstance(params.scans.topic, tuple) else (params.scans.topic,)
+    readers = [PlacedScans(source, topic, slam, poses, params) for topic in topics]
+    return tile_cloud(AllScans(readers), source.name, params.tiles)
+
+
+class AllScans:
+    """The scans of several sensors one after the other, with the fields that all of them have."""
+
+    def __init__(self, readers: Sequence[PlacedScans]) -> None:
+        self._readers = readers
+        common = [kind for kind in readers[0].fields if all(kind in r.fields for r in readers)]
+        self._only_some = sorted({n for r in readers for n, _ in r.fields} - {n for n, _ in common})
+        for reader in readers:
+            reader.fields = common
+
+    @property
+    def points(self) -> int:
+        """Points read so far."""
+        return sum(reader.points for reader in self._readers)
+
+    @property
+    def record_type(self) -> np.dtype[Any]:
+        """See PlacedScans."""
+        return self._readers[0].record_type
+
+    def blocks(self) -> Iterator[Records]:
+        """The placed points of all sensors."""
+        return chain.from_iterable(reader.blocks() for reader in self._readers)
+
+    def findings(self) -> list[tuple[str, str, str]]:
+        """(code, severity, message); complete once all blocks are read."""
+        found = [row for reader in self._readers for row in reader.findings()]
+        if self._only_some:
+            names = printable(", ".join(self._only_some), 200)
+            rule = f"the fields {names} are not the same on all topics of scans and were left out"
+            found.append(("cloud-field-left-out", "warning", rule))
+        return found
 
 
 class PlacedScans:
-    """A reader of clouds that makes the points from scans and poses."""
+    """A reader of clouds that makes the points from the scans of one topic and the poses.
 
-    def __init__(self, source: Source, slam: Trajectory, poses: Source, params: ScanTilesParams) -> None:
+    fields : (name, type) of what is kept of a point beside its place and time
+    """
+
+    def __init__(
+        self, source: Source, topic: str | None, slam: Trajectory, poses: Source, params: ScanTilesParams
+    ) -> None:
         if slam.stamp_ns is None:
             rule = "scans are placed by time, but these poses carry none; give TUM poses or an MCAP topic"
             raise AlignmentError(poses.name, rule)
-        self._source, self._scans = source, ScanSource(source, params.scans.topic)
+        self._source, self._scans = source, ScanSource(source, topic)
         self._params: ScanParams = params.scans
         self._stamp_ns = slam.stamp_ns
         self._poses = Poses(slam.xyz_m, slam.quaternion)
         self._usable = _usable(slam, params.scans.pose_gap_s)
         first = list(islice(self._scans.scans(), FIRST_SCANS))
         self._frame = first[0][1].frame
-        self._fields = first[0][1].records.dtype
+        self._kind = first[0][1].records.dtype
+        names = [n for n in self._kind.names or () if n not in AXES]
+        self.fields = [(n, self._kind[n].newbyteorder("<")) for n in names]
         self._sensor = self._sensor_pose(poses, params)
         self._time_field, self._clock = self._find_time(first)
-        names = [n for n in self._fields.names or () if n not in AXES]
-        (self._stamp_name,) = usable_names([STAMP], names)
         self.points = self._unplaced = self._out_of_range = 0
 
     @property
     def record_type(self) -> np.dtype[Any]:
         """Coordinates as float64, the scan's own fields, the time."""
-        kinds = [(n, self._fields[n].newbyteorder("<")) for n in self._fields.names or () if n not in AXES]
-        return np.dtype([*((axis, "<f8") for axis in AXES), *kinds, (self._stamp_name, "<f8")])
+        return np.dtype([*((axis, "<f8") for axis in AXES), *self.fields, (self._stamp_name, "<f8")])
+
+    @property
+    def _stamp_name(self) -> str:
+        return usable_names([STAMP], [name for name, _ in self.fields])[0]
 
     def findings(self) -> list[tuple[str, str, str]]:
         """(code, severity, message); complete once all blocks are read."""
@@ -85,24 +128,27 @@ class PlacedScans:
             if self._clock
             else "at the scan's time, all points of it at once"
         )
-        rows = [("cloud-of-scans", "info", f"{self._scans.topic.count:,} scans were placed {how}")]
+        label = self._scans.topic.label
+        rows = [("cloud-of-scans", "info", f"{self._scans.topic.count:,} scans of {label} were placed {how}")]
         if self._unplaced:
-            rule = f"{self._unplaced:,} points of {self.points:,} were seen where no pose is near in time"
+            rule = f"{self._unplaced:,} points of {self.points:,} on {label} were seen where no pose is near in time"
             rows.append(("cloud-point-without-pose", "warning", f"{rule}; they were left out"))
         if self._out_of_range:
-            rule = f"{self._out_of_range:,} points nearer or further than the range that was asked for"
+            rule = f"{self._out_of_range:,} points on {label} nearer or further than the range that was asked for"
             rows.append(("cloud-point-out-of-range", "info", f"{rule} were left out"))
         return rows
 
     def blocks(self) -> Iterator[Records]:
         """The placed points of many scans at a time."""
         waiting: list[Records] = []
+        size = 0
         for number, (stamp_ns, scan) in enumerate(self._scans.scans(), start=1):
             self._check(scan, number)
             waiting.append(self._placed(stamp_ns, scan))
-            if sum(part.nbytes for part in waiting) >= BLOCK_BYTES:
+            size += waiting[-1].nbytes
+            if size >= BLOCK_BYTES:
                 yield np.concatenate(waiting)
-                waiting = []
+                waiting, size = [], 0
         if waiting:
             yield np.concatenate(waiting)
         if self._unplaced and self._unplaced + self._out_of_range == self.points:
@@ -134,9 +180,8 @@ class PlacedScans:
         out = np.empty(len(records), self.record_type)
         for k, axis in enumerate(AXES):
             out[axis] = placed_m[:, k]
-        for name in records.dtype.names or ():
-            if name not in AXES:
-                out[name] = records[name]
+        for name, _ in self.fields:
+            out[name] = records[name]
         out[self._stamp_name] = at_ns // NS_PER_S + (at_ns % NS_PER_S) * 1e-9
         return out
 
@@ -148,14 +193,14 @@ class PlacedScans:
     def _check(self, scan: Scan, number: int) -> None:
         where = f"topic {self._scans.topic.label} message {number}"
         kinds = [(n, scan.records.dtype[n].newbyteorder("<")) for n in scan.records.dtype.names or ()]
-        if kinds != [(n, self._fields[n].newbyteorder("<")) for n in self._fields.names or ()]:
+        if kinds != [(n, self._kind[n].newbyteorder("<")) for n in self._kind.names or ()]:
             raise InputError(self._source.name, "its fields are not those of the first scan", where)
         if scan.frame != self._frame:
             shown = printable(f"{scan.frame!r} and not {self._frame!r} as the first", 120)
             raise InputError(self._source.name, f"the scan is in the frame {shown}", where)
 
     def _find_time(self, first: list[tuple[int, Scan]]) -> tuple[str, PointClock | None]:
-        wanted, names = self._params.point_time, self._fields.names or ()
+        wanted, names = self._params.point_time, self._kind.names or ()
         candidates = [n for n in TIME_FIELDS if n in names] if wanted == "auto" else [wanted]
         if wanted == "none":
             candidates = []
@@ -163,7 +208,7 @@ class PlacedScans:
             rule = f"there is no field {wanted} for point_cloud.point_time; fields are {', '.join(names)}"
             raise InputError(self._source.name, printable(rule, 400))
         for name in candidates:
-            if self._fields[name].shape:
+            if self._kind[name].shape:
                 continue
             values = [scan.records[name].astype(np.float64) for _, scan in first]
             clock = point_clock([v[np.isfinite(v)] for v in values], [stamp for stamp, _ in first])

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from pydantic import ValidationError
 from scipy.spatial.transform import Rotation, Slerp
 
 from flexmap_tasks.config import PointCloudParams, ScanParams, ScanTilesParams, SlamParams
@@ -210,6 +211,34 @@ def test_foxglove_s_point_clouds(tmp_path: Path) -> None:
     cloud = in_order(ingest(rec.write(tmp_path / "a.mcap", [*odometry(), *records()]), min_range_m=0))
     np.testing.assert_allclose(cloud.xyz_m, expected(MOUNT).xyz_m, atol=1e-6)
     assert set(cloud.fields) == {"t", "ring", "stamp_s"}
+
+
+def test_several_sensors_make_one_cloud_of_the_fields_they_share(tmp_path: Path) -> None:
+    other = [
+        rec.ros_record(
+            "/rear",
+            T0 + k * NS_PER_S // 10,
+            scan(T0 + k * NS_PER_S // 10, sweep(k)[["x", "y", "z", "ring", "t"]], "rear"),
+        )
+        for k in range(10)
+    ]
+    mounts = static([(HALF, "base_link", "lidar"), (MOUNT, "base_link", "rear")])
+    file = rec.write(tmp_path / "a.mcap", [mounts, *odometry(), *scans(), *other])
+    with pytest.raises(InputError, match=r"several topics hold scans: name one as `point_cloud\.topic`"):
+        ingest(file)
+    tiles = ingest(file, topic=("/points", "/rear"), min_range_m=0)
+    assert tiles.index.count.sum() == 800
+    cloud = in_order(tiles)
+    assert set(cloud.fields) == {"t", "ring", "stamp_s"}
+    found = dict(zip(tiles.findings.code, tiles.findings.message, strict=True))
+    assert (
+        found["cloud-field-left-out"]
+        == "the fields vec are not the same on all topics of scans and were left out"
+    )
+    truth = np.vstack([expected(HALF).xyz_m, expected(MOUNT).xyz_m])
+    np.testing.assert_allclose(cloud.xyz_m[np.lexsort(cloud.xyz_m.T)], truth[np.lexsort(truth.T)], atol=1e-6)
+    with pytest.raises(ValidationError, match="the place of one sensor"):
+        ingest(file, topic=("/points", "/rear"), sensor_pose={"x_m": 1})
 
 
 def test_a_scan_may_be_empty(tmp_path: Path) -> None:
