@@ -115,7 +115,7 @@ def _align(
         points = _control_points(graph, config, Drive(projection, gnss, slam), motion)
     if alignment.method == "pose_graph":
         adjusted = _adjust(graph, config, Drive(projection, gnss, slam), points, motion)
-        warp = graph.run(pose_graph_warp, alignment.pose_graph, graph=adjusted.graph)
+        warp = graph.run(pose_graph_warp, alignment.pose_graph, graph=adjusted.graph, slam=slam)
     elif alignment.method == "rubber_sheet":
         extent = graph.run(cloud_extent, index=tiles.field("index")) if tiles else None
         warp = graph.run(

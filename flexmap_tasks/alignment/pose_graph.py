@@ -27,6 +27,9 @@ MIN_POSES = 3
 AGREED_SIGMAS = 4.0
 """A revisit that the solution leaves by less than this many deviations is agreed with."""
 
+STEP_M, STEP_RAD = 2.0**-13, 2.0**-20
+"""What corrections are rounded to: 0.12 mm, and 0.03 mm at the blend's usual reach; powers of two, so exact."""
+
 MIN_AREA_SHARE = 0.2
 """The plane around the poses may be squeezed, but never to less than this."""
 
@@ -57,26 +60,34 @@ def pose_graph(
 
 
 @stage("warp")
-def pose_graph_warp(graph: PoseGraph, params: PoseGraphParams) -> Warp:
-    """The plane moved by blended pose corrections.
+def pose_graph_warp(graph: PoseGraph, params: PoseGraphParams, slam: Trajectory | None = None) -> Warp:
+    """The plane moved by blended pose corrections, rounded far below what they are known to.
 
+    Rounding lets differences that mean nothing, such as those of another processor's last bits, vanish.
+    slam : the drive of the graph; with its stamps the warp can also move points by their time
     Raises AlignmentError when the corrections fold the plane near the drive.
     """
     nodes = graph.nodes
-    n = len(nodes)
+    stamp_ns = None if slam is None or slam.stamp_ns is None else slam.stamp_ns[nodes.row]
     bend = Bend(
         source_xy_m=np.ascontiguousarray(nodes.source_xyz_m[:, :2]),
-        target_xy_m=np.ascontiguousarray(nodes.xyz_m[:, :2]),
-        turn_rad=wrapped(nodes.yaw_rad - nodes.source_yaw_rad),
-        stretch=np.full(n, graph.figures.scale),
-        lift_m=nodes.xyz_m[:, 2] - nodes.source_xyz_m[:, 2],
-        sigma_m=np.sqrt((nodes.sigma_m[:, 0] ** 2 + nodes.sigma_m[:, 1] ** 2) / 2),
-        sigma_turn_rad=nodes.sigma_yaw_rad,
-        blend_m=np.full(n, params.blend_sigma_m),
+        target_xy_m=_rounded(nodes.xyz_m[:, :2], STEP_M),
+        turn_rad=_rounded(wrapped(nodes.yaw_rad - nodes.source_yaw_rad), STEP_RAD),
+        stretch=_rounded(np.full(len(nodes), graph.figures.scale), STEP_RAD),
+        lift_m=_rounded(nodes.xyz_m[:, 2] - nodes.source_xyz_m[:, 2], STEP_M),
+        sigma_m=_rounded(np.sqrt((nodes.sigma_m[:, :2] ** 2).mean(axis=1)), STEP_M),
+        sigma_turn_rad=_rounded(nodes.sigma_yaw_rad, STEP_RAD),
+        blend_m=np.full(len(nodes), params.blend_sigma_m),
+        stamp_ns=stamp_ns,
     )
     warp = Warp(graph.motion, None, bend=bend)
     _refuse_folds(warp, nodes)
     return warp
+
+
+def _rounded(values: Floats, step: float) -> Floats:
+    whole: Floats = np.round(values / step)
+    return np.ascontiguousarray(whole * step)
 
 
 @stage("antenna_track")

@@ -9,20 +9,25 @@ depends on no pose beyond the kernel's end: parts of the deformation can be name
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
-SPACING_M, CELL_BITS = 2.0, 6
+SPACING_M, CELL_BITS = 2.0, 4
 CELLS = 1 << CELL_BITS
-"""Lattice spacing, and cells along the edge of a block of it that is computed at once."""
+"""Lattice spacing, and cells along the edge of a block of it that is computed at once: about the edge of a tile."""
 
 BLOCK_M = SPACING_M * CELLS
+
+MOST_PAGES, MOST_CELLS = 1 << 14, 1 << 22
+"""Blocks held at a time (160 MB), and places for them in a table."""
 
 REACH_PER_SIGMA = 8.0**0.5
 """(1 - x^2)^4 over this many sigmas is a Gaussian with an end."""
@@ -67,21 +72,25 @@ def reach_m(motions: Motions, nearest_m: Floats | float) -> Floats | float:
     return REACH_PER_SIGMA * motions.sigma_m + REACH_GROWTH * nearest_m
 
 
-def seen_from(motions: Motions, low: Floats, high: Floats) -> Ints:
-    """Rows of all poses that a lattice node inside the box may depend on."""
+def seen_from(motions: Motions, tree: cKDTree, low: Floats, high: Floats) -> Ints:
+    """Rows of all poses that a lattice node inside the box may depend on, ascending.
+
+    tree : of the poses' source_xy
+    """
     centre, half = (low + high) / 2, float(np.hypot(*(high - low))) / 2
-    gap = np.hypot(*(motions.source_xy - centre).T)
-    return np.flatnonzero(gap <= half + reach_m(motions, float(gap.min()) + half) + 1e-6)
+    nearest = float(tree.query(centre)[0])
+    reach = half + float(reach_m(motions, nearest + half)) + 1e-6
+    return np.sort(np.array(tree.query_ball_point(centre, reach), dtype=np.int64))
 
 
-def block(motions: Motions, i: int, j: int) -> Page:
+def block(motions: Motions, tree: cKDTree, i: int, j: int) -> Page:
     """The lattice of the block whose lower left corner is i, j blocks out.
 
     The variance at a place is the mean of what its motions predict there, their turn's at the distance it is
     from each, and how far they are from agreeing: it grows away from the poses and where passes contradict.
     """
     low = np.array([i, j]) * BLOCK_M
-    rows = seen_from(motions, low, low + BLOCK_M)
+    rows = seen_from(motions, tree, low, low + BLOCK_M)
     linear = motions.stretch[rows, None] * np.column_stack(
         [np.cos(motions.turn[rows]), np.sin(motions.turn[rows])]
     )
@@ -137,6 +146,19 @@ class Atlas(NamedTuple):
     pages: Floats
     corner: Ints
     table: NDArray[np.int32]
+
+
+def parts_of(blocks: Ints) -> Iterator[Ints]:
+    """The blocks (b, 2) in parts that are few enough and near enough to each other for one atlas."""
+    waiting = [blocks] if len(blocks) else []
+    while waiting:
+        part = waiting.pop()
+        size = np.ptp(part, axis=0) + 1
+        if len(part) <= MOST_PAGES and int(size[0]) * int(size[1]) <= MOST_CELLS:
+            yield part
+            continue
+        part = part[part[:, int(size.argmax())].argsort(kind="stable")]
+        waiting += [part[: len(part) // 2], part[len(part) // 2 :]]
 
 
 def atlas(pages: list[Floats], blocks: Ints) -> Atlas:
@@ -224,7 +246,7 @@ def blocks_of(xyz: Floats) -> Ints:
         low, high = np.array(_corners(xyz)).reshape(2, 2)
     first = np.floor(low / BLOCK_M)
     wide, tall = (np.floor(high / BLOCK_M) - first + 1).astype(np.int64).tolist()
-    if wide * tall > 1 << 22:
+    if wide * tall > MOST_CELLS:
         return np.unique(np.floor(xyz[:, :2] / BLOCK_M).astype(np.int64), axis=0)
     present = np.zeros((wide, tall), np.bool_)
     _mark(xyz, first[0], first[1], present)

@@ -178,6 +178,20 @@ class Warp:
             return self.unbend.undo(xyz_m, self.motion.apply_xy(xyz_m), self.motion.linear)
         return kernels.move(_mesh(self, len(xyz_m)), xyz_m)
 
+    def apply_at(self, xyz_m: Floats, stamp_ns: Ints) -> Floats:
+        """(n, 3) places moved by the corrections of the times (n,) at which they were seen; the rest by place.
+
+        Times are the SLAM trajectory's; a negative one is unknown. A warp without times moves all by place.
+        """
+        if self.bend is None or self.bend.stamp_ns is None:
+            return self.apply(xyz_m)
+        known = stamp_ns >= 0
+        out = np.empty((len(xyz_m), 3))
+        out[known] = self.bend.apply_at(xyz_m[known], stamp_ns[known])
+        if not known.all():
+            out[~known] = self.apply(xyz_m[~known])
+        return out
+
     def jacobian(self, xyz_m: Floats) -> Floats:
         """(n, 2, 2) how the plane is turned and stretched at (n, 3) places of the moving frame."""
         if self.bend is not None or self.unbend is not None:

@@ -7,12 +7,10 @@ from dataclasses import dataclass, fields
 from functools import lru_cache
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from flexmap_tasks.geometry import blend
 from flexmap_tasks.model.arrays import Floats, Ints
-
-_PAGES = 1024
-"""Blocks of the lattice held at a time: 140 MB."""
 
 _UNDO_ROUNDS, _UNDO_M = 60, 1e-10
 """Walking backwards gains a digit or two per round where the plane is bent by some per cent."""
@@ -27,6 +25,7 @@ class Bend:
     lift_m : (n,) float64, added to heights
     sigma_m, sigma_turn_rad : (n,) float64, standard deviations of the place, per axis, and of the turn
     blend_m : (n,) float64, all equal: width of the blend
+    stamp_ns : (n,) int64, ascending, when each pose was driven; None where nothing is to be moved by its time
     """
 
     source_xy_m: Floats
@@ -37,6 +36,7 @@ class Bend:
     sigma_m: Floats
     sigma_turn_rad: Floats
     blend_m: Floats
+    stamp_ns: Ints | None = None
 
     def __len__(self) -> int:
         return len(self.turn_rad)
@@ -44,6 +44,26 @@ class Bend:
     def apply(self, xyz_m: Floats) -> Floats:
         """(n, 3) places in the fixed frame of (n, 3) places; NaN stays NaN."""
         return self._over(xyz_m, np.empty((len(xyz_m), 3)), lambda page: page.shift, blend.move)
+
+    def apply_at(self, xyz_m: Floats, stamp_ns: Ints) -> Floats:
+        """(n, 3) places moved as the drive was corrected at (n,) times: between the two poses around each.
+
+        Before the first pose and after the last, as that one. A point seen at a known time follows the pass that
+        saw it, where a place alone would follow the mean of all passes. Raises ValueError without stamps.
+        """
+        if self.stamp_ns is None:
+            raise ValueError("the poses of this bend have no time")
+        after = np.clip(np.searchsorted(self.stamp_ns, stamp_ns), 1, len(self) - 1)
+        lapse = np.maximum(self.stamp_ns[after] - self.stamp_ns[after - 1], 1)
+        share = np.clip((stamp_ns - self.stamp_ns[after - 1]) / lapse, 0.0, 1.0)
+        out = np.zeros((len(xyz_m), 3))
+        for k, weight in ((after - 1, 1.0 - share), (after, share)):
+            x, y = (xyz_m[:, :2] - self.source_xy_m[k]).T
+            cos, sin = self.stretch[k] * np.cos(self.turn_rad[k]), self.stretch[k] * np.sin(self.turn_rad[k])
+            out[:, 0] += weight * (self.target_xy_m[k, 0] + cos * x - sin * y)
+            out[:, 1] += weight * (self.target_xy_m[k, 1] + sin * x + cos * y)
+            out[:, 2] += weight * (self.lift_m[k] + xyz_m[:, 2])
+        return out
 
     def sigma_at_m(self, xyz_m: Floats) -> Floats:
         """(n,) horizontal standard deviation per axis where (n, 3) places go."""
@@ -58,18 +78,19 @@ class Bend:
     ) -> Floats:
         """A kernel over all points, some pages at a time."""
         points = np.ascontiguousarray(xyz_m)
-        blocks = blend.blocks_of(points)
-        if not len(blocks):
-            out.fill(np.nan)
-        for start in range(0, len(blocks), _PAGES):
-            part = blocks[start : start + _PAGES]
+        first = True
+        for part in blend.parts_of(blend.blocks_of(points)):
             by = blend.atlas([channel(_block(self, int(i), int(j))) for i, j in part], part)
-            if not start:
+            if first:
                 kernel(by, points, out)
+                first = False
                 continue
             more = np.empty_like(out)
             kernel(by, points, more)
-            np.copyto(out, more, where=~np.isnan(more))
+            known = ~np.isnan(more if more.ndim == 1 else more[:, 0])
+            out[known] = more[known]
+        if first:
+            out.fill(np.nan)
         return out
 
     def undo(self, xyz_m: Floats, start_xy_m: Floats, back: Floats) -> Floats:
@@ -91,11 +112,12 @@ class Bend:
         """The poses that matter inside a box of the moving frame, (2, 2) lower left and upper right corner."""
         low = np.floor(box[0] / blend.SPACING_M) * blend.SPACING_M
         high = (np.floor(box[1] / blend.SPACING_M) + 1) * blend.SPACING_M
-        return self.take(blend.seen_from(self.motions(), low, high))
+        return self.take(blend.seen_from(self.motions(), _tree(self), low, high))
 
     def take(self, rows: Ints) -> Bend:
-        """The poses of the given rows."""
-        return Bend(*(getattr(self, field.name)[rows] for field in fields(self)))
+        """The poses of the given rows, their times left out."""
+        columns = (getattr(self, field.name) for field in fields(self) if field.name != "stamp_ns")
+        return Bend(*(column[rows] for column in columns))
 
     def motions(self) -> blend.Motions:
         """The same for the kernels."""
@@ -105,6 +127,11 @@ class Bend:
         )  # fmt: skip
 
 
-@lru_cache(maxsize=_PAGES)
+@lru_cache(maxsize=8)
+def _tree(bend: Bend) -> cKDTree:
+    return cKDTree(bend.source_xy_m)
+
+
+@lru_cache(maxsize=blend.MOST_PAGES)
 def _block(bend: Bend, i: int, j: int) -> blend.Page:
-    return blend.block(bend.motions(), i, j)
+    return blend.block(bend.motions(), _tree(bend), i, j)

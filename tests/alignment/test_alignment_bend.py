@@ -111,3 +111,28 @@ def test_what_is_not_a_place_stays_so() -> None:
     assert np.isnan(moved[3, 2])
     assert np.isnan(warp.apply(xyz[:3])).all()
     assert warp.apply(np.empty((0, 3))).shape == (0, 3)
+
+
+def test_a_point_with_a_time_follows_the_pass_that_saw_it() -> None:
+    """Two passes of one street whose corrections are 10 cm apart."""
+    there = np.column_stack([np.arange(0, 90, 3.0), np.zeros(30)])
+    source = np.concatenate([there, there[::-1]])
+    off = np.repeat([0.05, -0.05], 30)
+    one, stamp = np.ones(60), np.arange(60) * 10**8
+    target = source + np.column_stack([0 * off, off])
+    bend = Bend(source, target, 0 * off, one, off, 0.02 * one, 0.001 * one, 8 * one, stamp)
+    warp = Warp(RigidMotion(np.eye(2), np.zeros(2), 1.0, 1.0, 0.0), None, bend=bend)
+    xyz = np.column_stack([np.linspace(20, 70, 11), np.full(11, 4.0), np.full(11, 1.0)])
+    first = (xyz[:, 0] / 3.0 * 1e8).astype(np.int64)
+    second = 59 * 10**8 - first
+    for stamps, expected in ((first, 0.05), (second, -0.05), (first * 0 - 1, 0.0)):
+        moved = warp.apply_at(xyz, stamps)
+        assert np.abs(moved - xyz - [0.0, expected, expected]).max() < 5e-3
+    assert np.array_equal(warp.apply_at(xyz, first * 0 - 1), warp.apply(xyz))
+    before, after = (
+        warp.apply_at(xyz, np.full(11, -(10**18)) + 10**18),
+        warp.apply_at(xyz, np.full(11, 10**18)),
+    )
+    assert np.allclose(before[:, 1] - xyz[:, 1], 0.05)
+    assert np.allclose(after[:, 1] - xyz[:, 1], -0.05)
+    assert warp.restrict(Extent(0, 0, 10, 10)).bend.stamp_ns is None  # type: ignore[union-attr]

@@ -200,6 +200,20 @@ def test_warp_of_the_graph(plain) -> None:
     assert len(align_track(drive.slam, warp)) == len(drive.slam)
 
 
+def test_what_the_last_bits_say_does_not_reach_the_warp(plain) -> None:
+    graph, rng = plain[1], np.random.default_rng(1)
+    nodes = graph.nodes
+    other = dataclasses.replace(nodes, xyz_m=nodes.xyz_m + rng.uniform(-1e-11, 1e-11, nodes.xyz_m.shape))
+    one, two = (
+        pose_graph_warp(dataclasses.replace(graph, nodes=n), PoseGraphParams()) for n in (nodes, other)
+    )
+    assert one.bend is not None
+    assert two.bend is not None
+    for name in ("target_xy_m", "turn_rad", "lift_m", "sigma_m"):
+        assert np.array_equal(getattr(one.bend, name), getattr(two.bend, name))
+    assert np.abs(one.bend.target_xy_m - nodes.xyz_m[:, :2]).max() < 1e-4
+
+
 def test_same_input_same_bits(plain) -> None:
     drive, graph = plain
     again = solved(drive)

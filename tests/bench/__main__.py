@@ -11,7 +11,7 @@ from importlib import import_module
 
 from tests.bench.measure import DATA, console
 
-SUBJECTS = ("garching", "nothing_changed", "fleet", "warp", "browser", "cloud", "recordings")
+SUBJECTS = ("garching", "nothing_changed", "fleet", "warp", "tiles", "browser", "cloud", "recordings")
 
 
 def main(wanted: list[str]) -> int:
