@@ -29,14 +29,14 @@ def numbers(tmp_path: Path) -> Path:
     return file
 
 
-def test_four_processes_and_gc_on_one_bucket(tmp_path, numbers, environment, monkeypatch):
+def test_eight_processes_and_gc_on_one_bucket(tmp_path, numbers, environment, monkeypatch):
     for name, value in environment.items():
         monkeypatch.setenv(name, value)
     calm = Store.open(tmp_path / "calm")
     for factor in (1.0, 2.0, 3.0):
         run_toy(calm, numbers, factor)
     url, releases = f"s3://{BUCKET}/together", tmp_path / "releases"
-    together(url, releases, numbers, processes=4, rounds=3, grace_s=30.0, environment=environment)
+    together(url, releases, numbers, processes=8, rounds=2, grace_s=30.0, environment=environment)
     store = Store.open(url, releases)
     check_results(store, calm)
     assert len(list(all_released(store))) == 3

@@ -7,6 +7,7 @@ import os
 import socket
 import subprocess
 import sys
+import threading
 import time
 import urllib.request
 from collections.abc import Iterator
@@ -41,6 +42,48 @@ def serve_s3() -> Iterator[dict[str, str]]:
     finally:
         process.kill()
         process.wait()
+
+
+class BreakingProxy:
+    """Hands on what a server and its clients say, and breaks every connection off after some bytes, down or up."""
+
+    def __init__(
+        self, server: dict[str, str], down_bytes: int | None = None, up_bytes: int | None = None
+    ) -> None:
+        self._port = int(server["AWS_ENDPOINT_URL"].rpartition(":")[2])
+        self._down, self._up = down_bytes, up_bytes
+        self.broken: list[int] = []
+        self._listener = socket.create_server(("127.0.0.1", 0))
+
+    def __enter__(self) -> tuple[int, list[int]]:
+        threading.Thread(target=self._accept, daemon=True).start()
+        return self._listener.getsockname()[1], self.broken
+
+    def __exit__(self, *_: object) -> None:
+        self._listener.close()
+
+    def _accept(self) -> None:
+        while True:
+            try:
+                client, _ = self._listener.accept()
+            except OSError:
+                return
+            server = socket.create_connection(("127.0.0.1", self._port))
+            for source, sink, limit in ((client, server, self._up), (server, client, self._down)):
+                threading.Thread(target=self._pump, args=(source, sink, limit), daemon=True).start()
+
+    def _pump(self, source: socket.socket, sink: socket.socket, limit: int | None) -> None:
+        passed = 0
+        with contextlib.suppress(OSError):
+            while content := source.recv(65_536):
+                sink.sendall(content)
+                passed += len(content)
+                if limit is not None and passed > limit:
+                    self.broken.append(passed)
+                    break
+        for side in (source, sink):
+            with contextlib.suppress(OSError):
+                side.shutdown(socket.SHUT_RDWR)
 
 
 def _wait_for(url: str, process: subprocess.Popen[bytes]) -> None:

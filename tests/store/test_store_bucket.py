@@ -2,18 +2,15 @@
 
 from __future__ import annotations
 
-import contextlib
 import random
-import socket
 import threading
 import time
-from collections.abc import Iterator
 from datetime import timedelta
 from pathlib import Path
 
 import obstore
 import pytest
-from s3_server import BUCKET, serve_s3
+from s3_server import BUCKET, BreakingProxy, serve_s3
 
 from flexmap_tasks.engine import sources
 from flexmap_tasks.engine.sources import file_stamp, local_path, look, source_artifact
@@ -96,7 +93,7 @@ def test_a_fetch_that_broke_off_goes_on_where_it_stopped(url, monkeypatch):
 def test_lost_connections_cost_no_byte(url, server, monkeypatch):
     file = put(f"{url}/drive.mcap", CONTENT)
     monkeypatch.setattr(s3, "RETRIES", 0)  # so that it is ours to go on
-    with breaking_proxy(int(server["AWS_ENDPOINT_URL"].rpartition(":")[2]), after=700_000) as (port, broken):
+    with BreakingProxy(server, down_bytes=700_000) as (port, broken):
         monkeypatch.setenv("AWS_ENDPOINT_URL", f"http://127.0.0.1:{port}")
         assert bucket.fetch(file).read_bytes() == CONTENT
     assert len(broken) >= 3
@@ -152,43 +149,3 @@ def test_local_files_stay_where_they_are(tmp_path):
     file = tmp_path / "a"
     file.write_bytes(b"1")
     assert local_path(file) == file
-
-
-class breaking_proxy:  # noqa: N801 - used like a function
-    """Hands on what a server says, and breaks every answer off after some bytes."""
-
-    def __init__(self, port: int, after: int) -> None:
-        self._port, self._after, self.broken = port, after, []
-        self._listener = socket.create_server(("127.0.0.1", 0))
-
-    def __enter__(self) -> tuple[int, list[int]]:
-        threading.Thread(target=self._accept, daemon=True).start()
-        return self._listener.getsockname()[1], self.broken
-
-    def __exit__(self, *_: object) -> None:
-        self._listener.close()
-
-    def _accept(self) -> Iterator[None]:
-        while True:
-            try:
-                client, _ = self._listener.accept()
-            except OSError:
-                return
-            server = socket.create_connection(("127.0.0.1", self._port))
-            threading.Thread(target=self._pump, args=(client, server, None), daemon=True).start()
-            threading.Thread(target=self._pump, args=(server, client, self._after), daemon=True).start()
-
-    def _pump(self, source: socket.socket, sink: socket.socket, limit: int | None) -> None:
-        passed = 0
-        try:
-            while content := source.recv(65_536):
-                sink.sendall(content)
-                passed += len(content)
-                if limit is not None and passed > limit:
-                    self.broken.append(passed)
-                    break
-        except OSError:
-            pass
-        for side in (source, sink):
-            with contextlib.suppress(OSError):
-                side.shutdown(socket.SHUT_RDWR)

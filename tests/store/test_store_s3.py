@@ -6,7 +6,7 @@ import os
 from pathlib import Path
 
 import pytest
-from s3_server import BUCKET, serve_s3
+from s3_server import BUCKET, BreakingProxy, serve_s3
 
 from flexmap_tasks.engine.gc import collect
 from flexmap_tasks.engine.sync import copy_missing
@@ -117,6 +117,22 @@ def test_push_and_pull_copy_only_what_is_missing(store, tmp_path):
     assert copy_missing(folder, store).records == 0
     copy_missing(store, back)
     assert [back.find(record.key) for record in records] == records
+
+
+@pytest.mark.parametrize("parts_over", [10_000_000, 500_000])
+def test_a_connection_lost_in_the_middle_of_an_upload(server, monkeypatch, url, tmp_path, parts_over):
+    content = bytes(range(256)) * 30_000
+    monkeypatch.setattr(s3, "PARTS_OVER_BYTES", parts_over)
+    with monkeypatch.context() as patch, BreakingProxy(server, up_bytes=700_000) as (port, broken):
+        patch.setenv("AWS_ENDPOINT_URL", f"http://127.0.0.1:{port}")
+        patch.setattr(s3, "RETRIES", 0)
+        with pytest.raises(StoreError, match="nothing that was stored is lost") as caught:
+            Store.open(url).put_blob(content)
+        assert broken
+    assert "\n" not in str(caught.value)
+    store = Store.open(url, tmp_path / "releases")
+    assert store.backend.size(object_key(digest_of(content))) is None, "whole or not at all"
+    assert store.read_blob(store.put_blob(content)) == content
 
 
 def test_errors_are_one_clear_line(server, monkeypatch, url):
