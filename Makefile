@@ -31,9 +31,9 @@ soak: $(VENV)/dev  ## what takes long: hundreds of kills, a fleet of 20 maps ove
 	$(BIN)/python tests/fleet/fleet_nights.py
 	$(BIN)/python tests/fleet/fleet_planner.py
 
-screenshots: $(VENV)/dev  ## pictures of report and editor for the documentation (needs chromium and ../shared/data)
-	$(BIN)/flexmap run configs/garching.yaml --no-prefect
-	$(BIN)/python -m tests.screenshots configs/garching.yaml artifacts docs/images
+screenshots: $(VENV)/dev  ## pictures of report and editor for the README (needs chromium)
+	$(BIN)/flexmap demo --no-prefect
+	$(BIN)/python -m tests.screenshots artifacts docs/images
 
 system:  # what wheels expect from the system
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || { echo "FlexMap needs Python 3.11 or newer; run make with PYTHON=python3.11"; exit 1; }

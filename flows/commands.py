@@ -104,6 +104,12 @@ def demo(store: str, *, through_prefect: bool) -> None:
     folder = Path("artifacts" if "://" in store else store) / "demo"
     _write_demo_town(folder)
     _write_empty_decisions(folder)
+    overrides = demo_inputs(folder)
+    run(PROJECT / "configs" / "demo.yaml", overrides, store, through_prefect=through_prefect)
+
+
+def demo_inputs(folder: Path) -> list[str]:
+    """The settings that name the demo's files in that folder."""
     inputs = {
         "gnss.file": "recording.mcap",
         "slam.file": "recording.mcap",
@@ -113,8 +119,7 @@ def demo(store: str, *, through_prefect: bool) -> None:
         "alignment.control_points_file": "control_points.csv",
         "conflation.review_file": "review_decisions.csv",
     }
-    overrides = [f"{key}={folder / name}" for key, name in inputs.items()]
-    run(PROJECT / "configs" / "demo.yaml", overrides, store, through_prefect=through_prefect)
+    return [f"{key}={folder / name}" for key, name in inputs.items()]
 
 
 def _write_empty_decisions(folder: Path) -> None:

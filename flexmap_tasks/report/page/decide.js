@@ -207,7 +207,7 @@ function decisionTable() {
   const state_ = (d) => (d.when === "" ? "new" : d.holds === undefined ? "saved" : d.holds ? "holds" : "gone");
   return new Table("decisions", rows.length, [
     { name: "kind", width: 96, get: (i) => KINDS[rows[i].kind] ?? rows[i].kind },
-    { name: "lanelet", width: 84, get: (i) => rows[i].lanelet_id },
+    { name: "lanelet", width: 118, get: (i) => rows[i].lanelet_id },
     { name: "about", width: 130, get: (i) => rows[i].key || (rows[i].kind === "match" ? `${rows[i].s_from_m}–${rows[i].s_to_m} m` : "cut") },
     { name: "map had", width: 110, get: (i) => rows[i].old },
     { name: "OSM said", width: 130, get: (i) => rows[i].new || (rows[i].kind === "match" ? rows[i].way_id : "") },

@@ -110,7 +110,7 @@ function qualityTable() {
 function transferTable() {
   const t = data.transfers;
   return new Table("transfers", t.lanelet.length, [
-    { name: "lanelet", width: 84, get: (i) => t.lanelet[i] },
+    { name: "lanelet", width: 118, get: (i) => t.lanelet[i] },
     { name: "attribute", width: 130, get: (i) => t.key[i] },
     { name: "before", width: 120, get: (i) => t.old[i] },
     { name: "OSM says", width: 150, get: (i) => t.new[i] },
@@ -148,7 +148,7 @@ function reviewTable() {
   const r = data.review;
   return new Table("review", r.row.length, [
     { name: "no.", width: 56, number: true, get: (i) => i + 1 },
-    { name: "lanelet", width: 84, get: (i) => r.lanelet[i] },
+    { name: "lanelet", width: 118, get: (i) => r.lanelet[i] },
     { name: "kind", width: 100, get: (i) => KINDS[r.kind[i]] },
     { name: "about", width: 130, get: (i) => question(i).subject },
     { name: "map has", width: 140, get: (i) => question(i).have },
@@ -161,7 +161,7 @@ function reviewTable() {
 function laneTable() {
   const c = data.lane_check, count = (n) => (n < 0 ? NaN : n);
   return new Table("lane_check", c.lanelet.length, [
-    { name: "lanelet", width: 84, get: (i) => c.lanelet[i] },
+    { name: "lanelet", width: 118, get: (i) => c.lanelet[i] },
     { name: "verdict", width: 100, get: (i) => c.verdict[i], show: (i) => badge(c.verdict[i]) },
     { name: "lanes, map", width: 90, number: true, get: (i) => count(c.lanes_map[i]), show: (i) => number(count(c.lanes_map[i]), 0) },
     { name: "lanes, OSM", width: 90, number: true, get: (i) => count(c.lanes_osm[i]), show: (i) => number(count(c.lanes_osm[i]), 0) },
