@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 Bools = NDArray[np.bool_]
+Range = tuple[float, float]
 
 _NEARLY_EQUAL = 1.0 - 1e-9
 """Cosine of half the angle from which on slerp and a straight blend are the same."""
@@ -69,67 +70,116 @@ def interpolate(at_ns: Ints, stamp_ns: Ints, poses: Poses) -> Poses:
 
     stamp_ns : (m,) strictly ascending
     """
-    nothing = np.empty((0, 3))
-    return Poses(
-        *_at(at_ns, stamp_ns, poses.xyz_m, poses.quaternion, np.ones(len(stamp_ns), np.bool_), nothing)
-    )
+    return Poses(*_at(at_ns, stamp_ns, poses.xyz_m, poses.quaternion))
 
 
-def place_points(xyz_m: Floats, at_ns: Ints, stamp_ns: Ints, poses: Poses, usable: Bools) -> Floats:
-    """(n, 3) points of a moving body, each seen at its own time, in the frame of the poses.
+PLACED, WITHOUT_POSITION, OUT_OF_RANGE, WITHOUT_POSE = 0, 1, 2, 3
+"""What became of a point."""
 
-    xyz_m : (n, 3) in the body; at_ns : (n,) when each was seen
+
+def place_points(
+    xyz_m: Floats, at_ns: Ints, stamp_ns: Ints, poses: Poses, usable: Bools, mount: Poses, range_m: Range
+) -> tuple[Floats, NDArray[np.uint8]]:
+    """Points seen by a sensor on a moving body, each at its own time, in the frame of the poses.
+
+    xyz_m : (n, 3) in the sensor; at_ns : (n,) when each was seen
     stamp_ns : (m,) strictly ascending; usable : (m,) whether the stretch up to the next pose may be used
-    NaN where no usable stretch covers the time.
+    mount : (1,) pose of the sensor in the body; range_m : nearest and furthest distance from the sensor
+
+    Returns (n, 3) metres, NaN where a point is not placed, and (n,) what became of it.
     """
-    placed: Floats = _at(at_ns, stamp_ns, poses.xyz_m, poses.quaternion, usable, xyz_m)[0]
-    return placed
+    out, state = np.empty((len(xyz_m), 3)), np.empty(len(xyz_m), np.uint8)
+    _place(
+        xyz_m, at_ns, stamp_ns, poses.xyz_m, poses.quaternion, usable, mount.xyz_m[0], mount.quaternion[0],
+        range_m, out, state,
+    )  # fmt: skip
+    return out, state
 
 
 @njit(cache=True, nogil=True)
-def _at(at_ns, stamp_ns, place, turn, usable, points):  # type: ignore[no-untyped-def]  # pragma: no cover
-    """Poses at times; with points, the points moved by them instead of the places."""
-    n, last = len(at_ns), len(stamp_ns) - 1
-    xyz, quaternion = np.full((n, 3), np.nan), np.full((n, 4), np.nan)
-    q = np.empty(4)
+def _stretch(t, stamp_ns, i):  # type: ignore[no-untyped-def]  # pragma: no cover
+    """The last stamp not after t, looked for at i first; -1 outside of all."""
+    last = len(stamp_ns) - 1
+    if last < 0 or t < stamp_ns[0] or t > stamp_ns[last]:
+        return -1
+    if stamp_ns[i] <= t and (i == last or t < stamp_ns[i + 1]):
+        return i
+    return np.searchsorted(stamp_ns, t, side="right") - 1
+
+
+@njit(cache=True, nogil=True)
+def _pose_in(t, i, stamp_ns, place, turn, xyz, q):  # type: ignore[no-untyped-def]  # pragma: no cover
+    """The pose at t, between the i-th and the next, into xyz and q."""
+    j = min(i + 1, len(stamp_ns) - 1)
+    share = 0.0 if t == stamp_ns[i] else (t - stamp_ns[i]) / (stamp_ns[j] - stamp_ns[i])
+    cos = 0.0
+    for a in range(4):
+        cos += turn[i, a] * turn[j, a]
+    sign = 1.0 if cos >= 0.0 else -1.0
+    cos = min(abs(cos), 1.0)
+    w0, w1 = 1.0 - share, share
+    if cos <= _NEARLY_EQUAL:
+        angle = np.arccos(cos)
+        w0, w1 = np.sin((1.0 - share) * angle) / np.sin(angle), np.sin(share * angle) / np.sin(angle)
+    norm = 0.0
+    for a in range(4):
+        q[a] = w0 * turn[i, a] + sign * w1 * turn[j, a]
+        norm += q[a] * q[a]
+    norm = np.sqrt(norm)
+    for a in range(4):
+        q[a] /= norm
+    for a in range(3):
+        xyz[a] = place[i, a] + share * (place[j, a] - place[i, a])
+
+
+@njit(cache=True, nogil=True)
+def _turned(q, x, y, z):  # type: ignore[no-untyped-def]  # pragma: no cover
+    u, v, w = 2.0 * (q[1] * z - q[2] * y), 2.0 * (q[2] * x - q[0] * z), 2.0 * (q[0] * y - q[1] * x)
+    return (
+        x + q[3] * u + q[1] * w - q[2] * v,
+        y + q[3] * v + q[2] * u - q[0] * w,
+        z + q[3] * w + q[0] * v - q[1] * u,
+    )
+
+
+@njit(cache=True, nogil=True)
+def _at(at_ns, stamp_ns, place, turn):  # type: ignore[no-untyped-def]  # pragma: no cover
+    xyz, quaternion = np.full((len(at_ns), 3), np.nan), np.full((len(at_ns), 4), np.nan)
     i = 0
-    for k in range(n):
-        t = at_ns[k]
-        if last < 0 or t < stamp_ns[0] or t > stamp_ns[last]:
-            continue
-        if not (stamp_ns[i] <= t and (i == last or t < stamp_ns[i + 1])):
-            i = np.searchsorted(stamp_ns, t, side="right") - 1
-        j = min(i + 1, last)
-        share = 0.0 if t == stamp_ns[i] else (t - stamp_ns[i]) / (stamp_ns[j] - stamp_ns[i])
-        if share > 0.0 and not usable[i]:
-            continue
-        cos = 0.0
-        for a in range(4):
-            cos += turn[i, a] * turn[j, a]
-        sign = 1.0 if cos >= 0.0 else -1.0
-        cos = min(abs(cos), 1.0)
-        if cos > _NEARLY_EQUAL:
-            w0, w1 = 1.0 - share, share
-        else:
-            angle = np.arccos(cos)
-            w0, w1 = np.sin((1.0 - share) * angle) / np.sin(angle), np.sin(share * angle) / np.sin(angle)
-        norm = 0.0
-        for a in range(4):
-            q[a] = w0 * turn[i, a] + sign * w1 * turn[j, a]
-            norm += q[a] * q[a]
-        norm = np.sqrt(norm)
-        for a in range(4):
-            q[a] /= norm
-        for a in range(3):
-            xyz[k, a] = place[i, a] + share * (place[j, a] - place[i, a])
-        if len(points) == 0:
-            quaternion[k] = q
-            continue
-        x, y, z = points[k, 0], points[k, 1], points[k, 2]
-        u = 2.0 * (q[1] * z - q[2] * y)
-        v = 2.0 * (q[2] * x - q[0] * z)
-        w = 2.0 * (q[0] * y - q[1] * x)
-        xyz[k, 0] += x + q[3] * u + q[1] * w - q[2] * v
-        xyz[k, 1] += y + q[3] * v + q[2] * u - q[0] * w
-        xyz[k, 2] += z + q[3] * w + q[0] * v - q[1] * u
+    for k in range(len(at_ns)):
+        found = _stretch(at_ns[k], stamp_ns, i)
+        if found >= 0:
+            i = found
+            _pose_in(at_ns[k], i, stamp_ns, place, turn, xyz[k], quaternion[k])
     return xyz, quaternion
+
+
+@njit(cache=True, nogil=True)
+def _place(  # type: ignore[no-untyped-def]  # pragma: no cover
+    points, at_ns, stamp_ns, place, turn, usable, arm, mount, range_m, out, state
+):
+    near2, far2 = range_m[0] ** 2, range_m[1] ** 2
+    at, q = np.empty(3), np.empty(4)
+    i, known = 0, -1
+    for k in range(len(points)):
+        x, y, z = points[k, 0], points[k, 1], points[k, 2]
+        away2 = x * x + y * y + z * z
+        out[k] = np.nan
+        if not np.isfinite(away2):
+            state[k] = WITHOUT_POSITION
+            continue
+        if away2 < near2 or away2 > far2:
+            state[k] = OUT_OF_RANGE
+            continue
+        t = at_ns[k]
+        found = _stretch(t, stamp_ns, i)
+        if found < 0 or (t != stamp_ns[found] and not usable[found]):
+            state[k] = WITHOUT_POSE
+            continue
+        if known < 0 or t != at_ns[known]:  # points of one time share their pose
+            _pose_in(t, found, stamp_ns, place, turn, at, q)
+        i, known = found, k
+        x, y, z = _turned(mount, x, y, z)
+        x, y, z = _turned(q, x + arm[0], y + arm[1], z + arm[2])
+        out[k, 0], out[k, 1], out[k, 2] = at[0] + x, at[1] + y, at[2] + z
+        state[k] = PLACED

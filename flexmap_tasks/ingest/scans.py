@@ -22,7 +22,14 @@ from flexmap_tasks.formats.pcd_header import AXES, usable_names
 from flexmap_tasks.formats.scan_message import Scan
 from flexmap_tasks.formats.track_rows import printable
 from flexmap_tasks.geometry.scan_time import NS_PER_S, PointClock, point_clock
-from flexmap_tasks.geometry.se3 import Poses, compose, place_points, turned
+from flexmap_tasks.geometry.se3 import (
+    OUT_OF_RANGE,
+    WITHOUT_POSE,
+    WITHOUT_POSITION,
+    Poses,
+    compose,
+    place_points,
+)
 from flexmap_tasks.ingest.tiling import tile_cloud
 from flexmap_tasks.model.arrays import Bools, Floats, Ints
 from flexmap_tasks.model.clouds import Tiles
@@ -100,6 +107,7 @@ class PlacedScans:
             raise AlignmentError(poses.name, rule)
         self._source, self._scans = source, ScanSource(source, topic)
         self._params: ScanParams = params.scans
+        self._range_m = (self._params.min_range_m, self._params.max_range_m or np.inf)
         self._stamp_ns = slam.stamp_ns
         self._poses = Poses(slam.xyz_m, slam.quaternion)
         self._usable = _usable(slam, params.scans.pose_gap_s)
@@ -158,23 +166,18 @@ class PlacedScans:
         """The points of a scan that have a pose, in the SLAM frame."""
         records = scan.records
         self.points += len(records)
-        seen_m = positions(records)
-        with np.errstate(over="ignore", invalid="ignore"):
-            far = np.sqrt((seen_m**2).sum(axis=1))
-        keep = far >= self._params.min_range_m
-        if self._params.max_range_m:
-            keep &= far <= self._params.max_range_m
-        self._out_of_range += int((np.isfinite(far) & ~keep).sum())
-        keep |= ~np.isfinite(far)  # counted where points without a position are
-        records, seen_m = records[keep], seen_m[keep]
         at_ns = self._times(records, stamp_ns)
-        sensor = self._sensor if scan.origin is None else compose(self._sensor, scan.origin)
-        turn = np.broadcast_to(sensor.quaternion, (len(seen_m), 4))
-        body_m = sensor.xyz_m + turned(turn, seen_m)
-        placed_m = place_points(body_m, at_ns, self._stamp_ns, self._poses, self._usable)
-        lost = np.isnan(placed_m[:, 0]) & np.isfinite(seen_m).all(axis=1)
-        self._unplaced += int(lost.sum())
-        return self._record(records[~lost], placed_m[~lost], at_ns[~lost])
+        mount = self._sensor if scan.origin is None else compose(self._sensor, scan.origin)
+        placed_m, state = place_points(
+            positions(records), at_ns, self._stamp_ns, self._poses, self._usable, mount, self._range_m
+        )
+        lost = np.bincount(state, minlength=WITHOUT_POSE + 1)
+        self._out_of_range += int(lost[OUT_OF_RANGE])
+        self._unplaced += int(lost[WITHOUT_POSE])
+        keep = state <= WITHOUT_POSITION  # the latter are counted with those of any cloud
+        if keep.all():
+            return self._record(records, placed_m, at_ns)
+        return self._record(records[keep], placed_m[keep], at_ns[keep])
 
     def _record(self, records: Records, placed_m: Floats, at_ns: Ints) -> Records:
         out = np.empty(len(records), self.record_type)

@@ -8,7 +8,7 @@ from pathlib import Path
 import ingest_track_recordings as rec
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from pydantic import ValidationError
 from scipy.spatial.transform import Rotation, Slerp
@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation, Slerp
 from flexmap_tasks.config import PointCloudParams, ScanParams, ScanTilesParams, SlamParams
 from flexmap_tasks.errors import AlignmentError, FlexMapError, InputError
 from flexmap_tasks.geometry.scan_time import NS_PER_S, point_clock
-from flexmap_tasks.geometry.se3 import Poses, compose, inverse, place_points
+from flexmap_tasks.geometry.se3 import Poses, compose, interpolate, inverse, place_points
 from flexmap_tasks.ingest.scans import ingest_scans
 from flexmap_tasks.ingest.slam import ingest_slam
 from flexmap_tasks.model.clouds import PointCloud, Tiles
@@ -287,20 +287,30 @@ def test_every_driver_s_way_to_write_time_is_understood(clock: str) -> None:
     np.testing.assert_allclose((at - stamps[2]) / NS_PER_S, offset, atol=2e-6)
 
 
+@settings(deadline=None)
 @given(st.integers(0, 1000))
-def test_placing_is_undone_by_the_inverse(seed: int) -> None:
+def test_points_are_placed_as_scipy_places_them(seed: int) -> None:
     rng = np.random.default_rng(seed)
     quaternion = Rotation.random(5, rng=seed).as_quat()
     poses, points = Poses(rng.normal(size=(5, 3)), quaternion), rng.normal(size=(9, 3))
     stamps = np.arange(5) * 100
     at = rng.integers(0, 401, 9)
-    there = place_points(points, at, stamps, poses, np.ones(5, bool))
-    single = Slerp(stamps, Rotation.from_quat(quaternion))(at)
+    mount = Poses(rng.normal(size=(1, 3)), Rotation.random(1, rng=seed + 1).as_quat())
+    anything = (np.ones(5, bool), mount, (0.0, np.inf))
+    there, state = place_points(points, at, stamps, poses, *anything)
+    assert (state == 0).all()
+    body = Rotation.from_quat(mount.quaternion[0]).apply(points) + mount.xyz_m
+    turns = Slerp(stamps, Rotation.from_quat(quaternion))(at)
     place = np.column_stack([np.interp(at, stamps, poses.xyz_m[:, i]) for i in range(3)])
-    np.testing.assert_allclose(there, single.apply(points) + place, atol=1e-9)
+    np.testing.assert_allclose(there, turns.apply(body) + place, atol=1e-9)
+    moment = interpolate(at, stamps, poses)
+    np.testing.assert_allclose(moment.xyz_m, place, atol=1e-12)
+    assert (Rotation.from_quat(moment.quaternion).inv() * turns).magnitude().max() < 1e-7
     identity = compose(poses, inverse(poses))
     np.testing.assert_allclose(identity.xyz_m, 0, atol=1e-12)
-    assert np.isnan(place_points(points, at + 401, stamps, poses, np.ones(5, bool))).all()
+    late, state = place_points(points, at + 401, stamps, poses, *anything)
+    assert np.isnan(late).all()
+    assert (state == 3).all()
 
 
 def broken(change) -> rec.Record:
