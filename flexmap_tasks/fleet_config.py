@@ -29,6 +29,13 @@ class Recordings(Params):
         "time", description="what newest means: last written, or last by name"
     )
     settle_s: NonNegative = Field(30.0, description="a file written to more recently is still on its way")
+    leave_out: tuple[str, ...] = Field(
+        (), description="globs of recordings that do not count, by their path below it"
+    )
+    max_age_days: Positive | None = Field(None, description="recordings written longer ago do not count")
+    at_most: Annotated[int, Field(ge=1)] | None = Field(
+        None, description="of those that count, only so many of the newest are taken"
+    )
     inputs: tuple[Literal["gnss.file", "slam.file", "point_cloud.file"], ...] = Field(
         ("gnss.file", "slam.file"), min_length=1, description="settings that a recording stands for"
     )

@@ -50,6 +50,22 @@ def status(fleet: Path, *, json: bool = False) -> None:
 
 
 @fleet_app.command
+def recordings(fleet: Path, *maps: str) -> None:
+    """Say for every recording that arrived whether it is used, and why.
+
+    Parameters
+    ----------
+    fleet
+        YAML file of the fleet.
+    maps
+        Only these maps.
+    """
+    from flows import fleet_commands  # noqa: PLC0415
+
+    fleet_commands.recordings(fleet, maps)
+
+
+@fleet_app.command
 def deploy(fleet: Path) -> None:
     """Register work pool, deployments, schedules and automations on the Prefect server of PREFECT_API_URL.
 

@@ -15,14 +15,14 @@ from rich.table import Table
 
 from flexmap_tasks.engine.gate import published_release, read_quality, read_verdict
 from flexmap_tasks.engine.runs import last_run
-from flexmap_tasks.errors import FlexMapError
+from flexmap_tasks.errors import FlexMapError, InputError
 from flexmap_tasks.fleet_config import FleetConfig
 from flexmap_tasks.store.store import Store
 from flows import console
 from flows.fleet_jobs import Job, find_jobs, load_fleet, open_store
 from flows.fleet_plan import Row, Todo, plan_fleet, plan_job
 from flows.fleet_processes import run_processes
-from flows.fleet_recordings import find_recordings
+from flows.fleet_recordings import choose, find_recordings
 from flows.running import PREFECT_SETTINGS
 
 HEADLINE = ("deviation_after_valid_rmse", "match_rate_by_length", "lanes_differ", "transfers_review")
@@ -125,6 +125,30 @@ def status_row(store: Store, job: Job) -> dict[str, Any]:
         "why": found.why if isinstance(found, Todo) else found.reason,
         "on_their_way": job.on_its_way,
     }
+
+
+def recordings(file: Path, maps: Sequence[str]) -> None:
+    """Every recording that arrived: whether it is used, and why."""
+    fleet = load_fleet(file)
+    unknown = sorted(set(maps) - {entry.name for entry in fleet.maps})
+    if unknown:
+        raise InputError(file.name, f"has no map {unknown[0]}")
+    table = Table(box=None)
+    for name in ("map", "recording", "written", "MB", "why"):
+        table.add_column(name, overflow="fold", justify="right" if name == "MB" else "left")
+    now = time.time()
+    for entry in fleet.maps:
+        if entry.recordings is None or (maps and entry.name not in maps):
+            continue
+        complete, moving = find_recordings(entry.recordings, now)
+        for choice in choose(entry.recordings, complete, now):
+            found = choice.recording
+            written = datetime.fromtimestamp(found.written_ns / 1e9, UTC).isoformat(timespec="minutes")
+            row = (entry.name, found.name, written, f"{found.stamp[0] / 1e6:.1f}", choice.why)
+            table.add_row(*(cell.replace("[", r"\[") for cell in row), style="green" if choice.used else None)
+        if moving:
+            table.add_row(entry.name, f"{moving} more", "", "", "on their way")
+    console.show(table)
 
 
 def _hours(verdict: Any) -> float | None:

@@ -23,7 +23,7 @@ from flexmap_tasks.errors import FlexMapError
 from flexmap_tasks.fleet_config import FleetConfig, FleetMap
 from flexmap_tasks.store.artifact import canonical_json, digest_of, seal, unseal
 from flexmap_tasks.store.store import Store
-from flows.fleet_recordings import find_recordings
+from flows.fleet_recordings import choose, find_recordings
 
 FORMAT = 1
 
@@ -96,7 +96,8 @@ class Index:
                 return None, 0
             if moving:
                 return None, 0
-            found.append([[recording.path, recording.stamp] for recording in arrived])
+            choices = choose(entry.recordings, arrived, time.time())
+            found.append([[c.recording.path, c.recording.stamp, c.used] for c in choices])
             newest_ns = max((max(recording.stamp[1:3]) for recording in arrived), default=0)
         return digest_of(canonical_json(found)), newest_ns
 

@@ -14,7 +14,7 @@ from flexmap_tasks.errors import FlexMapError
 from flexmap_tasks.fleet_config import FleetConfig, FleetMap
 from flexmap_tasks.formats.config_file import load_config
 from flexmap_tasks.store.store import Store
-from flows.fleet_recordings import Recording, find_recordings
+from flows.fleet_recordings import Recording, choose, find_recordings
 
 
 @dataclass(frozen=True, slots=True)
@@ -23,6 +23,7 @@ class Job:
 
     map : name of the release line; recording : name of its file, "" when the config names the files
     config : None when there is none; fault : why there is none; on_its_way : recordings still being written
+    left_out : complete ones that do not count, where none does
     """
 
     map: str
@@ -31,6 +32,7 @@ class Job:
     config: FlexMapConfig | None = None
     fault: str = ""
     on_its_way: int = 0
+    left_out: int = 0
 
 
 def load_fleet(file: Path) -> FleetConfig:
@@ -63,12 +65,13 @@ def jobs_of(fleet: FleetConfig, entry: FleetMap, now_s: float) -> Iterator[Job]:
     except FlexMapError as error:
         yield Job(entry.name, entry, fault=str(error))
         return
-    if not settled:
-        yield Job(entry.name, entry, on_its_way=moving)
+    used = [choice.recording for choice in choose(entry.recordings, settled, now_s) if choice.used]
+    if not used:
+        yield Job(entry.name, entry, on_its_way=moving, left_out=len(settled))
     elif entry.recordings.take == "newest":
-        yield _job(fleet, entry, entry.name, settled[-1], moving)
+        yield _job(fleet, entry, entry.name, used[-1], moving)
     else:
-        for file in settled:
+        for file in used:
             yield _job(fleet, entry, f"{entry.name}.{_label(file)}", file, moving)
 
 

@@ -107,7 +107,10 @@ def plan_job(store: Store, job: Job, *, publish: bool = True) -> Row | Todo:
     if job.fault:
         return Row(job.map, "failed", reason=job.fault, recording=job.recording)
     if config is None:
-        return Row(job.map, "waiting", reason=f"no complete recording; {job.on_its_way} on their way")
+        left_out = f", {job.left_out} do not count" if job.left_out else ""
+        return Row(
+            job.map, "waiting", reason=f"no complete recording; {job.on_its_way} on their way{left_out}"
+        )
     finished = still_finished(store, config, store.releases)
     if finished is not None:
         return settled(store, job, finished.release.id)

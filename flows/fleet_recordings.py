@@ -34,6 +34,39 @@ class Recording:
         return self.name.rpartition("/")[2]
 
 
+@dataclass(frozen=True, slots=True)
+class Choice:
+    """Whether a recording is used for its map, and why (not)."""
+
+    recording: Recording
+    used: bool
+    why: str
+
+
+def choose(recordings: Recordings, arrived: Sequence[Recording], now_s: float) -> list[Choice]:
+    """What becomes of the recordings that are complete, in their order (the newest last)."""
+    most = 1 if recordings.take == "newest" else recordings.at_most or len(arrived)
+    choices: list[Choice] = []
+    for recording in reversed(arrived):
+        used = sum(choice.used for choice in choices)
+        reason = _reason_against(recordings, recording, now_s)
+        if not reason and used >= most:
+            reason = f"{used} newer one{'s are' if used > 1 else ' is'} used"
+        choices.append(Choice(recording, not reason, reason or "used"))
+    return choices[::-1]
+
+
+def _reason_against(recordings: Recordings, recording: Recording, now_s: float) -> str:
+    parts = recording.name.split("/")
+    pattern = next((p for p in recordings.leave_out if _fits(parts, p.split("/"))), None)
+    if pattern is not None:
+        return f"left out by {pattern}"
+    age_days = (now_s - recording.written_ns / 1e9) / 86_400
+    if recordings.max_age_days is not None and age_days > recordings.max_age_days:
+        return f"older than {recordings.max_age_days:g} days"
+    return ""
+
+
 def find_recordings(recordings: Recordings, now_s: float) -> tuple[list[Recording], int]:
     """Recordings that are complete, the newest last, and how many are still on their way.
 

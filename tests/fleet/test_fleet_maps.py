@@ -14,14 +14,14 @@ from prometheus_client.openmetrics.parser import text_string_to_metric_families
 from pydantic import ValidationError
 
 from flexmap_tasks.engine.finished import watch
-from flexmap_tasks.errors import ConfigError
+from flexmap_tasks.errors import ConfigError, InputError
 from flexmap_tasks.fleet_config import FleetConfig, Recordings
 from flexmap_tasks.pipeline import map_update
 from flows import fleet_commands
 from flows.fleet_index import Index, made_with
 from flows.fleet_jobs import find_jobs, load_fleet, open_store
 from flows.fleet_plan import Row, Todo, plan_fleet
-from flows.fleet_recordings import find_recordings
+from flows.fleet_recordings import Recording, choose, find_recordings
 
 
 @pytest.fixture(scope="module")
@@ -167,6 +167,43 @@ def test_recordings_lie_in_folders_of_their_own_too(tmp_path: Path) -> None:
     assert found["2026/*/drive.mcap"] == ["2026/d1/drive.mcap", "2026/d2/drive.mcap"]
     assert found["**/*.mcap"] == ["2026/d1/drive.mcap", "2026/d2/drive.mcap", "drive.mcap"]
     assert found["2026/d2/*"] == ["2026/d2/drive.mcap"]
+
+
+def test_which_recordings_count_and_why(tmp_path: Path) -> None:
+    now = time.time()
+    arrived = [
+        Recording(f"/d/{name}", name, [1, 1, 1, 1], int((now - days * 86_400) * 1e9))
+        for name, days in (("old.mcap", 40), ("a.mcap", 5), ("test/b.mcap", 3), ("c.mcap", 2), ("d.mcap", 1))
+    ]
+    rules = Recordings(folder=tmp_path, take="all", max_age_days=30, at_most=2, leave_out=("test/*",))
+    assert [(c.recording.file, c.used, c.why) for c in choose(rules, arrived, now)] == [
+        ("old.mcap", False, "older than 30 days"),
+        ("a.mcap", False, "2 newer ones are used"),
+        ("b.mcap", False, "left out by test/*"),
+        ("c.mcap", True, "used"),
+        ("d.mcap", True, "used"),
+    ]
+    newest = choose(Recordings(folder=tmp_path, leave_out=("d.*",)), arrived, now)
+    assert [c.recording.file for c in newest if c.used] == ["c.mcap"]
+    assert choose(rules, [], now) == []
+
+
+def test_a_person_sees_which_recordings_count(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    file = write_fleet(tmp_path, 1)
+    drive_again(tmp_path / "town00", 1, night=2)
+    fleet_commands.recordings(file, [])
+    said = capsys.readouterr().out
+    assert "1 newer one is used" in said
+    assert [line.split()[1] for line in said.splitlines()[1:]] == ["night1.mcap", "night2.mcap"]
+    with pytest.raises(InputError, match="has no map"):
+        fleet_commands.recordings(file, ["nowhere"])
+    data = yaml.safe_load(file.read_text())
+    data["maps"][0]["recordings"]["leave_out"] = ["*"]
+    file.write_text(yaml.safe_dump(data))
+    fleet = load_fleet(file)
+    rows, todo = plan_fleet(open_store(fleet), fleet)
+    assert (todo, rows[0].state) == ([], "waiting")
+    assert "2 do not count" in rows[0].reason
 
 
 def test_a_run_that_takes_too_long_is_ended(tmp_path: Path) -> None:
