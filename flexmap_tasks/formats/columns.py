@@ -65,7 +65,7 @@ def encode_table(columns: Columns, lists: tuple[str, ...] = (), *, geometry: boo
     metadata = {"flexmap": json.dumps({"shapes": shapes, "fields": list(columns)}, sort_keys=True)}
     if geometry:
         arrow, metadata = _with_geometry(arrow, metadata, columns.get("offset") if lists else None)
-    return _write(arrow.replace_schema_metadata(metadata))
+    return write_table(arrow.replace_schema_metadata(metadata))
 
 
 def decode_table(content: bytes, fields: dict[str, Any], lists: tuple[str, ...]) -> Columns:
@@ -106,7 +106,7 @@ def column_group(content: bytes, prefix: str) -> list[str]:
     return [name for name in metadata["fields"] if name.startswith(f"{prefix}.")]
 
 
-def _write(table: pa.Table) -> bytes:
+def write_table(table: pa.Table) -> bytes:
     """Parquet for measurements: a dictionary only for text, bytes of floats side by side so that they compress."""
     text = [f.name for f in table.schema if pa.types.is_string(f.type)]
     floats = [f.name for f in table.schema if pa.types.is_floating(f.type)]

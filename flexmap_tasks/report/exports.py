@@ -12,6 +12,7 @@ from flexmap_tasks.config import ReportParams
 from flexmap_tasks.engine.stage import stage
 from flexmap_tasks.formats.geojson import geojson
 from flexmap_tasks.formats.geopackage import geopackage
+from flexmap_tasks.formats.geoparquet import geoparquet
 from flexmap_tasks.formats.kml import kml
 from flexmap_tasks.formats.qgis import Look, qgis_project
 from flexmap_tasks.formats.track_text_write import kitti_text, tum_text
@@ -73,8 +74,8 @@ LOOKS = {
 
 @stage("layers")
 def export_layers(shown: Shown, aligned: Trajectory, params: ReportParams) -> dict[str, bytes]:
-    """Files by name: flexmap.gpkg and flexmap.qgs, a GeoJSON per layer, flexmap.kml, flexmap.mcap, the aligned
-    trajectory for evo, review.osm for JOSM, issues.json.
+    """Files by name: flexmap.gpkg and flexmap.qgs, a GeoJSON and a GeoParquet per layer, flexmap.kml, flexmap.mcap,
+    the aligned trajectory for evo, review.osm for JOSM, issues.json.
 
     aligned : the poses in the map frame
     """
@@ -137,6 +138,7 @@ def _vector_files(title: str, layers: Sequence[VectorLayer]) -> dict[str, bytes]
         "flexmap.qgs": qgis_project(title, PACKAGE, layers, LOOKS, extent),
         "flexmap.kml": kml(title, [_without_tags(layer) for layer in layers if layer.name in IN_KML], NAMES),
         **{f"{layer.name}.geojson": geojson(layer) for layer in layers},
+        **{f"{layer.name}.parquet": geoparquet(layer) for layer in layers},
     }
 
 

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 import osmium
+import pyarrow.parquet as pq
 import pytest
 import shapely
 from mcap.reader import make_reader
@@ -81,6 +82,19 @@ def test_geojson_says_the_same_as_the_geopackage(folder: Path) -> None:
         _, same, others = read(folder / f"{name}.geojson")
         assert shapely.equals_exact(shapely.normalize(shapes), shapely.normalize(same), tolerance=1e-8).all()
         assert set(columns) == set(others) - {"name"} | (set(columns) & {"name"})
+
+
+def test_geoparquet_says_the_same_as_the_geopackage(folder: Path) -> None:
+    for name in LOOKS:
+        _, shapes, columns = read(folder / "flexmap.gpkg", name)
+        table = pq.read_table(folder / f"{name}.parquet")
+        geo = json.loads(table.schema.metadata[b"geo"])
+        assert (geo["version"], geo["primary_column"]) == ("1.1.0", "geometry")
+        assert "crs" not in geo["columns"]["geometry"]
+        same = shapely.from_wkb(table["geometry"].to_numpy(zero_copy_only=False))
+        assert shapely.equals_exact(shapely.normalize(shapes), shapely.normalize(same), tolerance=1e-9).all()
+        assert geo["columns"]["geometry"]["bbox"] == pytest.approx(shapely.total_bounds(shapes))
+        assert set(table.column_names) == set(columns) | {"geometry"}
 
 
 def test_the_qgis_project_points_to_layers_that_exist(folder: Path) -> None:
