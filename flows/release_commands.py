@@ -12,6 +12,7 @@ from flexmap_tasks.engine import gate
 from flexmap_tasks.engine.compare import differing_settings
 from flexmap_tasks.engine.release import Release
 from flexmap_tasks.engine.released import find_release
+from flexmap_tasks.engine.runs import read_runs
 from flexmap_tasks.errors import InputError
 from flexmap_tasks.store.store import Store
 from flows import console
@@ -21,12 +22,13 @@ from flows.comparison import compared, write_comparison
 def list_releases(store: Store, map_name: str) -> None:
     """All releases of a map with what was decided about them."""
     published, verdicts = gate.published_release(store, map_name), gate.read_verdicts(store, map_name)
+    trials = _trials(store, map_name)
     table = Table(box=None)
     for column in ("release", "state", "by", "decided", "why"):
         table.add_column(column, overflow="fold")
     for name in _known(store, map_name):
         verdict = verdicts.get(name)
-        state = verdict.state if verdict else ("published" if name == published else "")
+        state = _state(verdict, name == published, name in trials)
         why = "; ".join(verdict.reasons) if verdict else ""
         table.add_row(
             name, state + (" (latest)" if name == published else ""), verdict.by if verdict else "",
@@ -67,10 +69,10 @@ def compare(
     found = [find_release(store, f"{map_name}/{name}").manifest for name in names]
     settings = differing_settings(found)
     published = gate.published_release(store, map_name)
-    facts = []
+    facts, trials = [], _trials(store, map_name)
     for i, name in enumerate(names):
         verdict = gate.read_verdict(store, map_name, name)
-        state = "latest" if name == published else verdict.state if verdict else "trial"
+        state = "latest" if name == published else _state(verdict, latest=False, trial=name in trials)
         facts.append({"release": name, "state": state, **{key: row[i] for key, row in settings.items()}})
     comparison = compared(store, map_name, facts, best_by)
     console.show_comparison(comparison)
@@ -118,6 +120,16 @@ def _known(store: Store, map_name: str) -> list[str]:
     )
     decided = gate.read_verdicts(store, map_name)
     return sorted(there, key=lambda n: (decided[n].decided if n in decided else "", n))
+
+
+def _trials(store: Store, map_name: str) -> set[str | None]:
+    return {run.release for run in read_runs(store, map_name) if run.trial}
+
+
+def _state(verdict: gate.Verdict | None, latest: bool, trial: bool) -> str:
+    if verdict is not None:
+        return verdict.state
+    return "published" if latest else "trial" if trial else ""
 
 
 def _release(store: Store, map_name: str, release_id: str) -> Release:
