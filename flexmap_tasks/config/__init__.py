@@ -61,6 +61,7 @@ from flexmap_tasks.config.output import (
     GateParams,
     GeoreferenceParams,
     ReportParams,
+    TilesParams,
     TruthEvaluationParams,
 )
 
@@ -108,6 +109,7 @@ __all__ = [
     "Share",
     "SlamInput",
     "SlamParams",
+    "TilesParams",
     "TransferParams",
     "TransferRule",
     "TruthEvaluationParams",

@@ -8,7 +8,7 @@ from flexmap_tasks.config.alignment import AlignmentParams, ProjectionParams
 from flexmap_tasks.config.base import Name, Params
 from flexmap_tasks.config.conflation import ConflationParams
 from flexmap_tasks.config.inputs import GnssInput, LaneletMapInput, OsmInput, PointCloudInput, SlamInput
-from flexmap_tasks.config.output import EvaluationParams, GateParams, GeoreferenceParams
+from flexmap_tasks.config.output import EvaluationParams, GateParams, GeoreferenceParams, TilesParams
 
 
 class FlexMapConfig(Params):
@@ -26,6 +26,7 @@ class FlexMapConfig(Params):
     georeference: GeoreferenceParams = GeoreferenceParams()
     evaluation: EvaluationParams = EvaluationParams()
     gate: GateParams = GateParams()
+    background: TilesParams | None = None
 
     @model_validator(mode="after")
     def _automatic_points_are_for_the_sheet(self) -> FlexMapConfig:

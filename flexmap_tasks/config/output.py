@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Annotated, Literal
 
-from pydantic import Field, model_validator
+from pydantic import Field, StringConstraints, model_validator
 
 from flexmap_tasks.config.base import Name, NonNegative, Params, Positive, Share
 
@@ -42,10 +42,30 @@ class EvaluationParams(Params):
     true_positive_score: Share = Field(0.8, description="the paper's self-score for a true positive")
 
 
+TILE_URL = r"^https?://[A-Za-z0-9.-]+(:[0-9]{1,5})?/[A-Za-z0-9._~/?=&%{}-]*$"
+
+
+class TilesParams(Params):
+    """Pictures behind the map of the report, from a server of web-map tiles; the page asks it only when told to."""
+
+    url: Annotated[str, StringConstraints(pattern=TILE_URL, max_length=500)] = Field(
+        description="with {z}, {x} and {y}, for example of an orthophoto"
+    )
+    attribution: str = Field("", max_length=200, description="what its licence wants to be read")
+    max_zoom: Annotated[int, Field(ge=1, le=24)] = 19
+
+    @model_validator(mode="after")
+    def _names_a_tile(self) -> TilesParams:
+        if any(part not in self.url for part in ("{z}", "{x}", "{y}")):
+            raise ValueError("the address of a tile needs {z}, {x} and {y}")
+        return self
+
+
 class ReportParams(Params):
-    """What the report says at its top."""
+    """What the report says at its top, and what may lie behind its map."""
 
     map: Name = Field(description="name of the map")
+    background: TilesParams | None = None
 
 
 class TruthEvaluationParams(Params):

@@ -6,6 +6,7 @@ import base64
 import html
 import re
 from collections.abc import Sequence
+from urllib.parse import urlsplit
 
 from flexmap_tasks.report import page as parts
 from flexmap_tasks.report.embed import Json, script_json
@@ -57,7 +58,7 @@ def _filled(
     scripts = [_library("leaflet.js"), _library("uplot.js"), _own_script(names)]
     styles = [_library("leaflet.css"), _library("uplot.css"), parts.text("report.css")]
     filled = {
-        "policy": html.escape(_policy(scripts, styles, connect)),
+        "policy": html.escape(_policy(scripts, styles, connect, _origin(data.get("tiles")))),
         "title": html.escape(title),
         "kind": kind,
         "brand": parts.text("brand.html").rstrip(),
@@ -85,12 +86,20 @@ def _library(name: str) -> str:
     return _SOURCE_MAP.sub("", parts.vendored(name))
 
 
-def _policy(scripts: list[str], styles: list[str], connect: str) -> str:
+def _origin(tiles: Json | None) -> str:
+    """Where pictures may come from beside the page itself: the server of the background, if one is configured."""
+    if tiles is None:
+        return ""
+    parts_ = urlsplit(tiles["url"])
+    return f" {parts_.scheme}://{parts_.netloc}"
+
+
+def _policy(scripts: list[str], styles: list[str], connect: str, pictures: str) -> str:
     rules = {
         "default-src": "'none'",
         "script-src": " ".join(map(_hash, scripts)),
         "style-src": " ".join(map(_hash, styles)),
-        "img-src": "data: blob:",
+        "img-src": f"data: blob:{pictures}",
         "connect-src": connect,
         "base-uri": "'none'",
         "form-action": "'none'",

@@ -75,6 +75,7 @@ def report_data(shown: Shown, judged: Judged, params: ReportParams) -> Json:
         "quality": [dataclasses.asdict(m) for m in judged.quality.measures],
         "motion": _motion(shown.warp.motion),
         "map": params.map,
+        "tiles": params.background.model_dump() if params.background else None,
         "texts": texts.table(),
     }
 

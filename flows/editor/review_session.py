@@ -43,7 +43,7 @@ class ReviewSession:
         """The map as the decisions of the file make it, with all that is still open; computes what is not there."""
         base = self._file.digest()
         graph = map_update(_with_what_is_there(self._config))
-        params = ReportParams(map=self._config.map)
+        params = ReportParams(map=self._config.map, background=self._config.background)
         given, outcomes = inputs_of(self._store, graph, "report")
         data = report_data(**given, params=params)
         data["stages"] = [

@@ -5,16 +5,21 @@ from __future__ import annotations
 import csv
 import dataclasses
 import io
-from collections.abc import Callable
+import threading
+from collections.abc import Callable, Iterator
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from PIL import Image
+from pydantic import ValidationError
 from report_large import many
 from report_runs import garching as garching_config
-from report_runs import inputs_of
+from report_runs import inputs_of, made
 
+from flexmap_tasks.config import TilesParams
 from flexmap_tasks.formats.review_decisions_csv import decisions_of
 from flexmap_tasks.model.alignment import Warp
 from flexmap_tasks.model.arrays import strings
@@ -23,6 +28,7 @@ from flexmap_tasks.model.conflation import RoadChanges
 from flexmap_tasks.model.osm import Tags
 from flexmap_tasks.model.pose_graph import HeldOut
 from flexmap_tasks.model.review import Decided
+from flexmap_tasks.report.report import report
 from flexmap_tasks.report.review_items import review_items
 
 HOSTILE = [
@@ -359,3 +365,65 @@ def test_a_decision_made_in_the_report_reaches_the_next_release(
     assert sum(accepted) == 1
     assert (after.action == "review").sum() == (garching["transfers"].action == "review").sum() - 1
     assert shown.complaints == []
+
+
+@pytest.fixture
+def tile_server() -> Iterator[tuple[str, list[str]]]:
+    """A server of grey tiles, and the paths it was asked for."""
+    asked: list[str] = []
+    buffer = io.BytesIO()
+    Image.new("RGB", (256, 256), (90, 120, 90)).save(buffer, "PNG")
+
+    class Tiles(BaseHTTPRequestHandler):
+        def do_GET(self) -> None:
+            asked.append(self.path)
+            self.send_response(200)
+            self.send_header("Content-Type", "image/png")
+            self.end_headers()
+            self.wfile.write(buffer.getvalue())
+
+        def log_message(self, *args: Any) -> None:
+            pass
+
+    server = ThreadingHTTPServer(("127.0.0.1", 0), Tiles)
+    threading.Thread(target=server.serve_forever, daemon=True).start()
+    yield f"http://127.0.0.1:{server.server_address[1]}/t/{{z}}/{{x}}/{{y}}.png", asked
+    server.shutdown()
+    server.server_close()
+
+
+def test_a_background_is_asked_for_only_when_it_is_switched_on(
+    browser: Any, garching: dict[str, Any], tmp_path: Path, tile_server: tuple[str, list[str]]
+) -> None:
+    url, asked = tile_server
+    background = TilesParams(url=url, attribution="<b>tiles</b> of a test")
+    params = garching["params"].model_copy(update={"background": background})
+    file = tmp_path / "report.html"
+    file.write_bytes(made(report, garching | {"params": params})["report.html"])
+    page = browser.new_context(viewport={"width": 1400, "height": 900}).new_page()
+    seen: list[str] = []
+    page.on("console", lambda message: seen.append(message.text))
+    page.on("request", lambda request: seen.append(request.url))
+    page.goto(file.as_uri() + "#at=0,0,1")
+    page.wait_for_selector("html[data-ready=yes]", state="attached", timeout=20_000)
+    assert asked == []
+    page.check("#layer-background")
+    page.wait_for_timeout(800)
+    z, x, y = (int(part.removesuffix(".png")) for part in asked[0].removeprefix("/t/").split("/"))
+    frame = garching["projection"]
+    lon, lat = frame.to_lonlat_deg(np.zeros((1, 2)))[0]
+    assert z == 18
+    assert abs(x - (lon + 180) / 360 * 2**z) < 6
+    assert abs(y - (1 - np.arcsinh(np.tan(np.radians(lat))) / np.pi) / 2 * 2**z) < 6
+    assert "<b>tiles</b> of a test" in page.inner_text("#legend")
+    assert all(line.startswith(("file:", "data:", url.split("{")[0])) for line in seen)
+
+
+@pytest.mark.parametrize(
+    "url",
+    ["javascript:alert(1)//{z}{x}{y}", "https://a/{z}/{x}", "https://a;script-src *//{z}{x}{y}", "file:///{z}/{x}/{y}",
+     "https://a b/{z}/{x}/{y}", "https://u:p@a/{z}/{x}/{y}", 'https://a/{z}/{x}/{y}"'],
+)  # fmt: skip
+def test_what_is_no_address_of_tiles_is_refused(url: str) -> None:
+    with pytest.raises(ValidationError):
+        TilesParams(url=url)

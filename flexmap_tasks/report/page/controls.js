@@ -13,6 +13,7 @@ const legends = {
   corrections: () => [["corrections", "from the rigid start to the aligned place"]],
   changes: () => [["changes", "changed"], ["changes-gone", "gone"], ["changes-new", "new"]],
   points: () => [["point", "used"], ["point-unused", "not used"]],
+  background: () => [["background", data.tiles.attribution || new URL(data.tiles.url).host]],
   review: () => [["review", "open"], ["decided", "decided"]],
   findings: () => ["error", "warning", "info"].map((s) => [`finding-${s}`, s]),
 };

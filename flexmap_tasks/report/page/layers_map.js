@@ -186,6 +186,7 @@ function drawFindings(view) {
   }
 }
 
+if (data.tiles) addLayer({ id: "background", group: "Maps", name: "Background", swatch: "background", count: NaN, draw: drawBackground });
 if (roads) addLayer({ id: "roads", group: "Maps", name: "OSM roads", swatch: "road", count: roads.id.length, draw: drawRoads });
 if (before) addLayer({ id: "before", group: "Maps", name: "HD map, rigid start", swatch: "before", count: before.lanelets.id.length, draw: drawBefore });
 if (after) addLayer({ id: "after", group: "Maps", name: "HD map, finished", swatch: "after", count: after.lanelets.id.length, draw: drawAfter });
