@@ -11,7 +11,17 @@ from importlib import import_module
 
 from tests.bench.measure import DATA, console
 
-SUBJECTS = ("garching", "nothing_changed", "fleet", "warp", "tiles", "browser", "cloud", "recordings")
+SUBJECTS = (
+    "garching",
+    "conflation",
+    "nothing_changed",
+    "fleet",
+    "warp",
+    "tiles",
+    "browser",
+    "cloud",
+    "recordings",
+)
 
 
 def main(wanted: list[str]) -> int:

@@ -4,6 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import yaml
 from transfer_worlds import (
     Draft,
     along_x,
@@ -479,3 +480,20 @@ def test_a_limit_may_land_as_a_rule(tmp_path: Path) -> None:
     assert len(told) == 6
     for lanelet in loaded.laneletLayer:
         assert float(traffic.speedLimit(lanelet).speedLimit) == pytest.approx(told[lanelet.id], abs=0.01)
+
+
+def test_the_mapping_table_of_the_docs_reads_a_new_key(tmp_path: Path) -> None:
+    """The example in docs/conflation.md works as it stands there."""
+    page = (Path(__file__).resolve().parents[2] / "docs" / "conflation.md").read_text(encoding="utf-8")
+    example = next(part for part in page.split("```yaml\n") if part.startswith("conflation:\n  transfer:"))
+    settings = yaml.safe_load(example.split("```")[0])["conflation"]["transfer"]
+    params = TransferParams.model_validate(settings)
+    draft = Draft()
+    ahead = road(draft, [50.0], 1, 0).forward[0][0]
+    before = draft.read(tmp_path)
+    tags = {"highway": "tertiary", "smoothness": "good", "ref": "St 2350", "maxspeed": "70"}
+    after = run(before, along_x(before, []), roads_of([tags]), params)
+    relations = after.map.document.relations
+    found = relations.tags.of_element(int(np.flatnonzero(relations.id == ahead)[0]))
+    assert (found["road_smoothness"], found["road_ref"]) == ("good", "St 2350")
+    assert rows(after, key="speed_limit", new="70")
