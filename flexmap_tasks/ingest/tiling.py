@@ -55,7 +55,7 @@ def tile_cloud(reader: CloudReader, name: str, params: PointCloudParams) -> Tile
     if params.voxel_size_m:
         before = cleaned.points
         cleaned = cleaned.cleaned(lambda records: _thin(records, params.voxel_size_m))
-        rule = f"{cleaned.points} of {before} points stay, one per voxel of {params.voxel_size_m:g} m"
+        rule = f"{cleaned.points:,} of {before:,} points stay, one per voxel of {params.voxel_size_m:g} m"
         findings.append(("cloud-thinned", "info", rule))
     return Tiles(cleaned.index(), cleaned, cloud_findings(findings))
 

@@ -227,8 +227,8 @@ print(refused)
 def test_flipped_bits_and_cuts_end_in_a_line_or_in_points(tmp_path: Path) -> None:
     for name in ("cloud.las", "cloud.laz"):
         las(tmp_path, name, points=600)
-    run = [sys.executable, "-c", FUZZ, str(tmp_path), "120"]  # a process of its own: an abort must not hide
+    run = [sys.executable, "-c", FUZZ, str(tmp_path), "80"]  # a process of its own: an abort must not hide
     done = subprocess.run(run, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr[-2000:]
-    assert int(done.stdout) > 60
+    assert int(done.stdout) > 40
     assert not done.stderr
