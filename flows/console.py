@@ -46,6 +46,9 @@ HEADLINES = (
 )
 """What a person wants to know first."""
 
+FLEET_HEADLINES = ("deviation_after_valid_rmse", "match_rate_by_length", "lanes_differ", "transfers_review")
+"""The same where there is one line per map."""
+
 STATE_STYLE = {"cached": "green", "run": "yellow", "depends": "cyan"}
 
 

@@ -25,8 +25,6 @@ from flows.fleet_processes import run_processes
 from flows.fleet_recordings import choose, find_recordings
 from flows.running import PREFECT_SETTINGS
 
-HEADLINE = ("deviation_after_valid_rmse", "match_rate_by_length", "lanes_differ", "transfers_review")
-
 BAD = ("failed", "crashed", "timed out", "cancelled")
 
 
@@ -120,7 +118,7 @@ def status_row(store: Store, job: Job) -> dict[str, Any]:
         "age_h": _hours(read_verdict(store, job.map, published)) if published else None,
         "last_run": last.finished[:16] if last is not None else None,
         "last_state": verdict.state if verdict is not None else None,
-        **{name: _figure(quality.get(name)) for name in HEADLINE},
+        **{name: _figure(quality.get(name)) for name in console.FLEET_HEADLINES},
         "next": "will run" if isinstance(found, Todo) else found.state,
         "why": found.why if isinstance(found, Todo) else found.reason,
         "on_their_way": job.on_its_way,

@@ -10,7 +10,8 @@ from fleet_server import Server
 from playwright.sync_api import sync_playwright
 
 WINDOW = {"width": 1280, "height": 900}
-PATIENCE_MS = 90_000
+PATIENCE_MS = 240_000
+"""The server may share its machine with a night of updates."""
 
 
 def take(server: Server, run_id: str, folder: Path, words: list[str]) -> None:
