@@ -124,4 +124,5 @@ def page(name: str, rows: Sequence[Row], shown: Sequence[Row], figures: Mapping[
 
 def _cells(row: Row, figures: Sequence[str]) -> list[str]:
     label = f"[{row.map}](/runs/flow-run/{row.run})" if row.run else row.map
-    return [label, row.state, row.reason.replace("|", "\\|"), *figures, row.release, row.recording]
+    cells = [label, row.state, row.reason, *figures, row.release, row.recording]
+    return [cell.replace("|", "\\|") for cell in cells]
