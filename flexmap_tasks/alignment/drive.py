@@ -8,7 +8,7 @@ import numpy as np
 
 from flexmap_tasks.alignment.rigid_start import track_heading
 from flexmap_tasks.geometry.polyline import steps_m
-from flexmap_tasks.geometry.se2 import wrapped
+from flexmap_tasks.geometry.se2 import along_arc, wrapped
 from flexmap_tasks.geometry.turns import yaw_rad
 from flexmap_tasks.model.arrays import Floats, Ints
 from flexmap_tasks.model.tracks import Trajectory
@@ -32,15 +32,14 @@ class Drive(NamedTuple):
     node: Ints
 
     def at(self, stamp_s: Floats) -> tuple[Floats, Floats]:
-        """Poses (m, 3) at times between the first and the last, and their velocity (m, 2)."""
+        """Poses (m, 3) at times between the first and the last, on an arc of constant turn, and their velocity (m, 2)."""
         if self.stamp_s is None:
             raise ValueError("the drive has no time")
         k = np.clip(np.searchsorted(self.stamp_s, stamp_s) - 1, 0, len(self.stamp_s) - 2)
         lapse = np.maximum(self.stamp_s[k + 1] - self.stamp_s[k], 1e-9)
         share = (stamp_s - self.stamp_s[k]) / lapse
-        step = self.pose[k + 1] - self.pose[k]
-        step[:, 2] = wrapped(step[:, 2])
-        return self.pose[k] + share[:, None] * step, step[:, :2] / lapse[:, None]
+        pose, velocity = along_arc(self.pose[k], self.pose[k + 1], share)
+        return pose, velocity / lapse[:, None]
 
 
 def drive_of(slam: Trajectory, spacing_m: float) -> Drive:

@@ -39,8 +39,8 @@ MIN_FIXES = 3
 MIN_LINE_M = 20.0
 """A shorter drive has no direction worth the name."""
 
-MAX_STRETCHES = 12
-"""Stretches that may be switched off one after the other."""
+SEARCHES = 4
+"""Stretches near one another are switched off one after the other, those far apart at once."""
 
 REVISIT_ROUNDS = 4
 """A SLAM that agrees with itself earns belief step by step; one that does not never gets it."""
@@ -125,13 +125,15 @@ def solve(
         agreement = revisit_sigma(revisit, solution.state, solution.scale)
         known = known._replace(revisit=revisit, revisit_sigma=agreement)
         found, solution = _adjusted(known, tie, solution.state, solution.scale, rounds=(1,))
-    for _ in range(MAX_STRETCHES if search else 0):
-        where = line.along_m[found.line_row]
-        stretch = standing_off(solution, GNSS, where, 2 if known.timed else 1, params.multipath_min_m)
-        if stretch is None:
+    for _ in range(SEARCHES if search else 0):
+        stretches = standing_off(solution, GNSS, found.fix, params.multipath_min_m)
+        if not stretches:
             break
-        span = where[stretch.rows]
-        tie = tie._replace(off=tie.off | ((line.along_m >= span.min()) & (line.along_m <= span.max())))
+        off = tie.off.copy()
+        for stretch in stretches:
+            rows = found.line_row[stretch.rows]
+            off[rows.min() : rows.max() + 1] = True
+        tie = tie._replace(off=off)
         reason[line.fix[tie.off]] = MULTIPATH
         found, solution = _adjusted(known, tie, solution.state, solution.scale, rounds=(1, 1))
     return Solved(fit, known.timed, line, reason, known, found, solution, along)
@@ -177,7 +179,7 @@ def _adjusted(
     tie: _Tie,
     state: State,
     scale: Floats = START,
-    rounds: tuple[int, ...] = (0, 0, 1, 1),
+    rounds: tuple[int, ...] = (0, 0, 0,0,0,0,0,0,1, 1,1,1,1,1),
 ) -> tuple[Correspondence, Solution[State]]:
     """Associate and adjust in turns; GNSS is believed loosely at first, while the start is metres off."""
     for k, turns in enumerate(rounds):

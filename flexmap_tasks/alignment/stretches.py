@@ -6,17 +6,24 @@ from typing import NamedTuple
 
 import numpy as np
 from scipy import sparse
+from scipy.stats import chi2
 
-from flexmap_tasks.geometry.adjustment import Solution
-from flexmap_tasks.geometry.graph2d import State
+from flexmap_tasks.geometry.adjustment import Group, Solution
+from flexmap_tasks.geometry.graph2d import Fix, State
+from flexmap_tasks.geometry.intervals import Offsets, offsets_of_intervals
+from flexmap_tasks.geometry.normal_equations import factor
+from flexmap_tasks.geometry.polyline import steps_m
 from flexmap_tasks.model.arrays import Bools, Floats, Ints
 
-LENGTHS_M = (25.0, 50.0, 100.0, 200.0)
-"""Stretches are tried in these lengths, every quarter of their length."""
+CELL_M = 5.0
+"""Stretches begin and end at multiples of this way; a longer step between two fixes counts as one such step."""
 
-SUSPECTS, GROWTH_ROUNDS = 6, 3
-GROWTH_M = (0.0, -24.0, -12.0, -6.0, -3.0, 3.0, 6.0, 12.0, 24.0)
-"""How many of the most suspicious stretches are tried again, how often, and how far their ends move at a time."""
+SHORTEST_CELLS, LONGEST_CELLS = 4, 50
+"""Stretches from 20 to 250 m are looked for."""
+
+CORE_CELLS, MARGIN_CELLS = 120, 60
+"""Stretches that begin in a core are judged with the nodes of the core, the longest stretch and a margin around it
+free, all others held: what lies further away has no say, and the cost grows with the drive alone."""
 
 SIGNIFICANT = 6.0
 """A stretch stands off when its offset is this many times its own deviation, as the whole drive shows it."""
@@ -30,75 +37,92 @@ class Offset(NamedTuple):
     significance: float
 
 
-def standing_off(
-    solution: Solution[State], group: int, along_m: Floats, components: int, minimum_m: float
-) -> Offset | None:
-    """The stretch whose own constant offset explains the most, or None.
+class _Ties(NamedTuple):
+    """The fixes in the order of the drive.
 
-    For every stretch the adjustment is asked what an offset of its own would come out as and how sure
-    that would be (Baarda's test of an outlier, for a whole stretch; exact, one solution per stretch). A stretch
-    must hold all of the false fixes, or the rest of them ties the drive to their error: the most suspicious
-    ones are therefore tried again, grown at either end. The deviations are scaled by what is usual on this
-    drive, so that a SLAM that is worse than its estimated noise does not make every stretch suspicious.
-    along_m : (m,) place of every fix along the track; components : rows of the group per fix
+    row : (m,) place of every fix in the group; node, cell : (m,); across : (m,) direction of its first component
     """
-    coarse = _spans(along_m)
-    _, score = _tested(solution, group, along_m, components, coarse)
-    usual = float(np.median(score[score > 0])) if (score > 0).any() else 0.0
-    grown = coarse[np.argsort(-score, kind="stable")[:SUSPECTS]]
-    size, score = _tested(solution, group, along_m, components, grown)
-    for _ in range(GROWTH_ROUNDS):  # each end in turn moves to where the stretch stands off the most
-        for end in (0, 1):
-            tried = np.repeat(grown, len(GROWTH_M), axis=0)
-            tried[:, end] += np.tile(GROWTH_M, len(grown))
-            tried[:, 1] = np.maximum(tried[:, 1], tried[:, 0] + LENGTHS_M[0] / 2)
-            size, score = _tested(solution, group, along_m, components, tried)
-            pick = score.reshape(len(grown), -1).argmax(axis=1) + len(GROWTH_M) * np.arange(len(grown))
-            grown, size, score = tried[pick], size[pick], score[pick]
-    significance = np.sqrt(score / max(usual, 0.455 * components))
-    significance[size < minimum_m] = 0.0
-    best = int(significance.argmax())
-    if significance[best] < SIGNIFICANT:
-        return None
-    inside = (along_m >= grown[best, 0]) & (along_m < grown[best, 1])
-    return Offset(inside, float(size[best]), float(significance[best]))
+
+    row: Ints
+    node: Ints
+    cell: Ints
+    across: Floats
 
 
-def _tested(
-    solution: Solution[State], group: int, along_m: Floats, components: int, spans: Floats
-) -> tuple[Floats, Floats]:
-    """Size of every stretch's own offset in metres, and its square over its variance."""
-    observed, scale, weight = solution.groups[group], solution.scale[group], solution.weight[group]
-    p = weight / (observed.unit * scale) ** 2
-    after = observed.residual + observed.jacobian @ solution.step
-    rows, columns = _members(spans, along_m, components)
-    pick = sparse.csr_matrix((p[rows], (rows, columns)), shape=(len(p), components * len(spans)))
-    weighted = observed.jacobian.T @ pick
-    solved = solution.lu.solve(weighted.toarray())
-    total = np.asarray(pick.sum(axis=0)).ravel()
-    information = total - np.asarray(weighted.multiply(solved).sum(axis=0)).ravel()
-    usable = information > 1e-6 * np.maximum(total, 1e-300)
-    safe = np.where(usable, information, 1.0)
-    offset = np.where(usable, (pick.T @ after) / safe, 0.0).reshape(-1, components)
-    score: Floats = (offset**2 * safe.reshape(-1, components)).sum(axis=1)
-    return np.sqrt((offset**2).sum(axis=1)), score
+def standing_off(solution: Solution[State], group: int, fixes: Fix, minimum_m: float) -> list[Offset]:
+    """Stretches whose own constant offset explains the most, none near another; the most significant first.
+
+    For every stretch of the drive the adjustment is asked what an offset of its own would come out as and how
+    sure that would be: all its fixes left out and compared with what the rest says (Baarda's test of an outlier,
+    for a whole stretch). Deviations are scaled by what is usual for stretches of that length on this drive (an
+    empirical null, Efron 2004), so neither coloured noise nor noise that a bad stretch has inflated decides.
+    """
+    ties = _ordered(fixes)
+    cells = int(ties.cell[-1]) + 1
+    found = [_tested(solution, solution.groups[group], group, ties, c) for c in range(0, cells, CORE_CELLS)]
+    tested = Offsets(*(np.concatenate(columns) for columns in zip(*found, strict=True)))
+    significance = np.sqrt(tested.score / _usual(tested))
+    significance[tested.size_m < minimum_m] = 0.0
+    out: list[Offset] = []
+    while len(significance) and significance.max() >= SIGNIFICANT:
+        best = int(significance.argmax())
+        low, high = tested.start[best], tested.start[best] + tested.cells[best]
+        rows = np.zeros(len(fixes.node), bool)
+        rows[ties.row[(ties.cell >= low) & (ties.cell < high)]] = True
+        out.append(Offset(rows, float(tested.size_m[best]), float(significance[best])))
+        apart = (tested.start >= high + MARGIN_CELLS) | (tested.start + tested.cells <= low - MARGIN_CELLS)
+        significance = np.where(apart, significance, 0.0)
+    return out
 
 
-def _spans(along_m: Floats) -> Floats:
-    low, high = float(along_m.min()), float(along_m.max())
-    spans = []
-    for length in LENGTHS_M:
-        starts = np.arange(low, max(high - length / 2, low + 1e-6), length / 4)
-        spans.append(np.column_stack([starts, starts + length]))
-    return np.concatenate(spans)
+def _ordered(fixes: Fix) -> _Ties:
+    row = np.argsort(fixes.node, kind="stable")
+    way = np.concatenate([[0.0], np.cumsum(np.minimum(steps_m(fixes.target[row]), CELL_M))])
+    return _Ties(row, fixes.node[row], (way // CELL_M).astype(np.int64), fixes.across[row])
 
 
-def _members(spans: Floats, along_m: Floats, components: int) -> tuple[Ints, Ints]:
-    order = np.argsort(along_m, kind="stable")
-    first = np.searchsorted(along_m[order], spans[:, 0])
-    count = np.searchsorted(along_m[order], spans[:, 1]) - first
-    span = np.repeat(np.arange(len(spans)), count)
-    start = np.repeat(first - np.concatenate([[0], np.cumsum(count)[:-1]]), count)
-    fix = order[start + np.arange(len(span))]
-    part = np.tile(np.arange(components), len(span))
-    return np.repeat(fix, components) * components + part, np.repeat(span, components) * components + part
+def _usual(tested: Offsets) -> Floats:
+    """(k,) typical score of stretches of the same length, as a factor on what noise alone would give."""
+    usual = np.ones(LONGEST_CELLS + 1)
+    for length in np.unique(tested.cells).tolist():
+        usual[length] = np.median(tested.score[tested.cells == length])
+    out: Floats = np.maximum(usual[tested.cells] / chi2.median(2), 1e-6)
+    return out
+
+
+def _tested(solution: Solution[State], observed: Group, group: int, ties: _Ties, first: int) -> Offsets:
+    """Offset and score of all stretches that begin in the core at cell `first`."""
+    last = min(first + CORE_CELLS + LONGEST_CELLS, int(ties.cell[-1]) + 1)
+    inside = (ties.cell >= first) & (ties.cell < last)
+    unknowns = _free(ties, first - MARGIN_CELLS, last + MARGIN_CELLS, len(solution.state.pose))
+    offsets, rows = _offsets(ties, inside, first, last, len(observed.residual) // len(ties.row))
+    p = solution.weight[group][rows] / (observed.unit[rows] * solution.scale[group]) ** 2
+    jacobian = observed.jacobian[rows]
+    weighted_offsets = (sparse.diags(p) @ offsets).tocsr()
+    coupling = (jacobian[:, unknowns].T @ weighted_offsets).toarray()
+    solved = factor(solution.normal[unknowns][:, unknowns].tocsc()).solve(coupling)
+    information = (offsets.T @ weighted_offsets).toarray() - coupling.T @ solved
+    right = weighted_offsets.T @ (observed.residual[rows] + jacobian @ solution.step)
+    starts = min(CORE_CELLS, last - first)
+    found = offsets_of_intervals(information, right, starts, SHORTEST_CELLS, LONGEST_CELLS)
+    return found._replace(start=found.start + first)
+
+
+def _free(ties: _Ties, low: int, high: int, nodes: int) -> Ints:
+    """Unknowns of the nodes between two cells; all that lie before the first fix and after the last belong to them."""
+    before, behind = ties.node[ties.cell < low], ties.node[ties.cell >= high]
+    start = before[-1] + 1 if len(before) else 0
+    stop = behind[0] if len(behind) else nodes
+    return np.arange(3 * start, 3 * stop)
+
+
+def _offsets(ties: _Ties, inside: Bools, first: int, last: int, components: int) -> tuple[sparse.csr_matrix, Ints]:
+    """How an offset east and north of every cell enters the rows of the fixes inside, and which rows these are."""
+    cell, across = ties.cell[inside] - first, ties.across[inside]
+    part = np.arange(components)
+    rows = (components * ties.row[inside][:, None] + part).ravel()
+    angle = (across[:, None] + part * np.pi / 2).ravel()
+    value = np.column_stack([np.cos(angle), np.sin(angle)]).ravel()
+    column = 2 * np.repeat(cell, 2 * components) + np.tile([0, 1], len(rows))
+    row = np.repeat(np.arange(len(rows)), 2)
+    return sparse.csr_matrix((value, (row, column)), shape=(len(rows), 2 * (last - first))), rows

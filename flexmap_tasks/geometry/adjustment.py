@@ -55,7 +55,7 @@ class Solution(NamedTuple, Generic[S]):
 
     state : the unknowns; scale : (g,) noise scale of every group; weight : robust weights of every group
     groups : the observations before the last step; step : that last step
-    lu : the factor of the normal equations
+    normal, lu : the normal equations of that step, and their factor
     """
 
     state: S
@@ -63,6 +63,7 @@ class Solution(NamedTuple, Generic[S]):
     weight: list[Floats]
     groups: list[Group]
     step: Floats
+    normal: sparse.csc_matrix
     lu: SuperLU
 
 
@@ -89,7 +90,7 @@ def adjust(
         if left and left % 2 == 0:  # scales change slowly: every second step is enough
             inverse = _on_pattern_of(normal, inverse_on_pattern(lu))
             scale = _estimated(observed, scale, weight, step, inverse, shared, floor)
-    return Solution(state, scale, weight, observed, step, lu)
+    return Solution(state, scale, weight, observed, step, normal, lu)
 
 
 def _weights(group: Group, scale: float) -> Floats:
