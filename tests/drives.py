@@ -68,11 +68,11 @@ def town(length_m: float, rng: np.random.Generator) -> np.ndarray:
 def driven(
     length_m: float = 3000.0,
     seed: int = 0,
-    noise: Noise = Noise(),  # noqa: B008 - frozen
+    noise: Noise = Noise(),
     gaps: tuple[tuple[float, float], ...] = (),
     biases: tuple[Bias, ...] = (),
     slam_s: float = 0.2,
-    gnss_s: float = 0.2,
+    gnss_s: float = 0.1,
 ) -> Driven:
     """One drive at about 9 m/s; GNSS stamps are `OFFSET_S` early."""
     rng = np.random.default_rng(seed)

@@ -32,7 +32,7 @@ class Drive(NamedTuple):
     node: Ints
 
     def at(self, stamp_s: Floats) -> tuple[Floats, Floats]:
-        """Poses (m, 3) at times between the first and the last, on an arc of constant turn, and their velocity (m, 2)."""
+        """Poses (m, 3) at times between the first and the last, on arcs of constant turn; velocities (m, 2)."""
         if self.stamp_s is None:
             raise ValueError("the drive has no time")
         k = np.clip(np.searchsorted(self.stamp_s, stamp_s) - 1, 0, len(self.stamp_s) - 2)

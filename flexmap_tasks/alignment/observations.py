@@ -12,13 +12,14 @@ from flexmap_tasks.geometry.adjustment import Group
 from flexmap_tasks.geometry.graph2d import GLOBALS, Fix, Relative, State, fix_rows, relative_rows
 from flexmap_tasks.model.arrays import Floats
 
-ALONG, YAW, GNSS, ACROSS = 0, 1, 2, 3
+ALONG, YAW, GNSS, ACROSS, REVISIT, REVISIT_YAW = range(6)
 """Places of the groups whose noise is estimated."""
 
-START = np.array([0.1, 0.001, 1.0, 0.02])
-"""Where the estimates begin: metres and radians per 3 m of SLAM, and a factor on the stated sigmas of GNSS."""
+START = np.array([0.1, 0.001, 1.0, 0.02, 1.0, 0.02])
+"""Where the estimates begin: metres and radians per 3 m of SLAM, a factor on the stated sigmas of GNSS, and metres
+and radians by which SLAM disagrees with itself where it passes twice."""
 
-FLOOR = np.array([1e-3, 2e-5, 0.2, 1e-3])
+FLOOR = np.array([1e-3, 2e-5, 0.2, 1e-3, 0.01, 5e-4])
 """Noise below this is not believed of any sensor."""
 
 STEP_M = 3.0
@@ -31,14 +32,10 @@ LEVER_M, SCALE = 3.0, 0.01
 """What is known beforehand of lever arm (a car's size) and SLAM scale, one standard deviation."""
 
 
-REVISIT_STEPS = 1.0
-"""A revisit is never believed better than a step of odometry with this many times its deviation."""
-
-
 class Known(NamedTuple):
     """What stays the same from step to step.
 
-    odometry, revisit : what SLAM says; revisit_sigma : metres and radians that revisits are believed to
+    odometry, revisit : what SLAM says of neighbours, and of passes of one place
     control, control_sigma_m : the user's places
     timed : fixes are tied by time; log_scale : logarithm of the scale known beforehand
     clock_sigma_s : what is known of the clock offset
@@ -46,7 +43,6 @@ class Known(NamedTuple):
 
     odometry: Relative
     revisit: Relative
-    revisit_sigma: tuple[float, float]
     control: Fix
     control_sigma_m: Floats
     timed: bool
@@ -73,8 +69,8 @@ def groups_of(known: Known, found: Correspondence, state: State) -> list[Group]:
         yaw._replace(scale_of=YAW),
         gnss,
         across._replace(scale_of=ACROSS),
-        _shared(known, state),
         *_revisits(known, state),
+        _shared(known, state),
     ]
     if not known.timed:
         far = np.full(count, UNTIMED_ALONG_M)
@@ -95,26 +91,11 @@ def _shared(known: Known, state: State) -> Group:
 
 
 def _revisits(known: Known, state: State) -> list[Group]:
-    if len(known.revisit.first) == 0:
-        return []
+    """How well SLAM agrees with itself is estimated: loops closed or not, both are common."""
     rows = relative_rows(state, known.revisit)
     pair = np.arange(len(known.revisit.first))
     place = np.sort(np.concatenate([3 * pair, 3 * pair + 1]))
-    near, turn = known.revisit_sigma
     return [
-        Group(rows.residual[place], rows.jacobian[place], np.full(len(place), near), np.repeat(pair, 2), -1),
-        Group(rows.residual[2::3], rows.jacobian[2::3], np.full(len(pair), turn), pair, -1),
+        Group(rows.residual[place], rows.jacobian[place], np.ones(len(place)), np.repeat(pair, 2), REVISIT),
+        Group(rows.residual[2::3], rows.jacobian[2::3], np.ones(len(pair)), pair, REVISIT_YAW),
     ]
-
-
-def revisit_sigma(revisit: Relative, state: State, scale: Floats) -> tuple[float, float]:
-    """How well SLAM agrees with itself where it passes twice, by a solution that was not told of it.
-
-    A SLAM that closes its loops is believed nearly like its odometry; one that does not, hardly at all. It
-    cannot be estimated with the rest: revisits are no independent measurements, and a SLAM in agreement
-    with itself would draw their noise down to nothing.
-    """
-    gap = relative_rows(state, revisit).residual.reshape(-1, 3)
-    near = 1.4826 * float(np.median(np.hypot(gap[:, 0], gap[:, 1])))
-    turn = 1.4826 * float(np.median(np.abs(gap[:, 2])))
-    return max(near, REVISIT_STEPS * float(scale[ALONG])), max(turn, REVISIT_STEPS * float(scale[YAW]))

@@ -16,6 +16,9 @@ APART_M = 50.0
 MAX_PER_POSE = 1
 """More partners of one pose are the same news again: SLAM agrees with itself."""
 
+APART_RADII = 2.0
+"""So are pairs nearer to one another along the way than this many times the radius: they see the same scene."""
+
 
 def revisit_edges(pose: Floats, radius_m: float) -> Relative:
     """Pairs of nodes on different passes within `radius_m`, and how SLAM sees one from the other.
@@ -36,7 +39,14 @@ def revisit_edges(pose: Floats, radius_m: float) -> Relative:
     i, j = i[order], j[order]
     rank = np.arange(len(i)) - np.concatenate([[0], np.cumsum(np.bincount(i, minlength=len(pose)))])[i]
     pairs = np.sort(np.column_stack([i, j])[rank < MAX_PER_POSE], axis=1)
-    return _pairs(pose, np.unique(pairs, axis=0).reshape(-1, 2))
+    pairs = np.unique(pairs, axis=0).reshape(-1, 2)
+    return _pairs(pose, pairs[_separate(along[pairs], APART_RADII * radius_m)])
+
+
+def _separate(at_m: Floats, apart_m: float) -> Ints:
+    """Rows of pairs of which no two lie in the same cells of the way: (m, 2) places of both passes."""
+    _, first = np.unique(np.floor(at_m / apart_m).astype(np.int64), axis=0, return_index=True)
+    return np.sort(first)
 
 
 def _pairs(pose: Floats, pairs: Ints) -> Relative:

@@ -16,7 +16,7 @@ from flexmap_tasks.alignment.correspondence import (
 )
 from flexmap_tasks.alignment.drive import Drive
 from flexmap_tasks.alignment.gnss_line import GnssLine, driven_line
-from flexmap_tasks.alignment.observations import FLOOR, GNSS, START, Known, groups_of, revisit_sigma
+from flexmap_tasks.alignment.observations import FLOOR, GNSS, START, Known, groups_of
 from flexmap_tasks.alignment.revisits import revisit_edges
 from flexmap_tasks.alignment.rigid_start import rigid_start
 from flexmap_tasks.alignment.stretches import standing_off
@@ -34,16 +34,22 @@ UNKNOWN_SIGMA_M = 0.03
 
 MULTIPATH = "multipath: a stretch that stands off as a whole"
 
+LOOSE = (30.0, 5.0, 1.0, 1.0, 1.0, 1.0)
+"""How many times its stated sigma GNSS is given in the first steps, while the start is metres off."""
+
+LEVER_STARTS_M = (1.5, -1.5)
+"""Without time a corner looks nearly alike from an antenna ahead and one behind: both are tried."""
+
+SCALE_ROUNDS, SETTLED_SHARE, SETTLED_M = 6, 0.03, 0.002
+"""Noise is estimated so many times at most, until it changes by less than a share and no pose by more than this."""
+
 MIN_FIXES = 3
 
 MIN_LINE_M = 20.0
 """A shorter drive has no direction worth the name."""
 
-SEARCHES = 4
+SEARCHES = 6
 """Stretches near one another are switched off one after the other, those far apart at once."""
-
-REVISIT_ROUNDS = 4
-"""A SLAM that agrees with itself earns belief step by step; one that does not never gets it."""
 
 
 class Solved(NamedTuple):
@@ -117,14 +123,13 @@ def solve(
     _check(line)
     gnss_s = None if drive.stamp_s is None else gnss_seconds(gnss, line, first_ns)
     fit, offset, along = _start(drive, line, gnss_s, params.clock_offset_max_s)
+    levers = (0.0,) if along is None else LEVER_STARTS_M
     known = _known(drive, log_scale, control, along is None, params.clock_offset_max_s)
     tie = _Tie(drive, line, _sigmas(gnss, line), gnss_s, along, np.zeros(len(line.fix), bool))
-    found, solution = _adjusted(known, tie, _state(drive, fit, log_scale, offset))
-    revisit = revisit_edges(drive.pose[drive.node], params.revisit_radius_m)
-    for _ in range(REVISIT_ROUNDS if len(revisit.first) else 0):
-        agreement = revisit_sigma(revisit, solution.state, solution.scale)
-        known = known._replace(revisit=revisit, revisit_sigma=agreement)
-        found, solution = _adjusted(known, tie, solution.state, solution.scale, rounds=(1,))
+    found, solution = _begun(known, tie, [_state(drive, fit, log_scale, offset, f) for f in levers])
+    found, solution = _adjusted(known, tie, solution.state, START, SCALE_ROUNDS)
+    known = known._replace(revisit=revisit_edges(drive.pose[drive.node], params.revisit_radius_m))
+    found, solution = _adjusted(known, tie, solution.state, solution.scale, SCALE_ROUNDS)
     for _ in range(SEARCHES if search else 0):
         stretches = standing_off(solution, GNSS, found.fix, params.multipath_min_m)
         if not stretches:
@@ -135,7 +140,7 @@ def solve(
             off[rows.min() : rows.max() + 1] = True
         tie = tie._replace(off=off)
         reason[line.fix[tie.off]] = MULTIPATH
-        found, solution = _adjusted(known, tie, solution.state, solution.scale, rounds=(1, 1))
+        found, solution = _adjusted(known, tie, solution.state, solution.scale, SCALE_ROUNDS)
     return Solved(fit, known.timed, line, reason, known, found, solution, along)
 
 
@@ -150,11 +155,11 @@ def _start(
     return fit, 0.0, along
 
 
-def _state(drive: Drive, fit: PlanarFit, log_scale: float, offset: float) -> State:
+def _state(drive: Drive, fit: PlanarFit, log_scale: float, offset: float, forward_m: float) -> State:
     nodes = drive.pose[drive.node]
     turn = float(np.arctan2(fit.rotation[1, 0], fit.rotation[0, 0]))
     pose = np.column_stack([nodes[:, :2] @ fit.rotation.T + fit.translation, nodes[:, 2] + turn])
-    return State(pose, np.array([0.0, 0.0, log_scale, offset]))
+    return State(pose, np.array([forward_m, 0.0, log_scale, offset]))
 
 
 def _known(
@@ -165,7 +170,6 @@ def _known(
     return Known(
         odometry=Relative(row, row + 1, between(nodes[:-1], nodes[1:])),
         revisit=revisit_edges(nodes, 0.0),
-        revisit_sigma=(1.0, 1.0),
         control=control[0],
         control_sigma_m=control[1],
         timed=timed,
@@ -174,33 +178,50 @@ def _known(
     )
 
 
+def _begun(known: Known, tie: _Tie, starts: list[State]) -> tuple[Correspondence, Solution[State]]:
+    """From every start by steps that believe GNSS more and more, noise as expected; the one that fits best."""
+    best: tuple[Correspondence, Solution[State]] | None = None
+    for start in starts:
+        state = start
+        for loose in LOOSE:
+            scale = START.copy()
+            scale[GNSS] *= loose
+            found, solution = _adjusted(known, tie, state, scale, 0)
+            state = solution.state
+        if best is None or solution.misfit < best[1].misfit:
+            best = found, solution
+    if best is None:
+        raise ValueError("a start is needed")
+    return best
+
+
 def _adjusted(
-    known: Known,
-    tie: _Tie,
-    state: State,
-    scale: Floats = START,
-    rounds: tuple[int, ...] = (0, 0, 0,0,0,0,0,0,1, 1,1,1,1,1),
+    known: Known, tie: _Tie, state: State, scale: Floats, rounds: int
 ) -> tuple[Correspondence, Solution[State]]:
-    """Associate and adjust in turns; GNSS is believed loosely at first, while the start is metres off."""
-    for k, turns in enumerate(rounds):
+    """Associate and adjust in turns until the estimated noise settles, at most `rounds` times.
+
+    With 0 rounds once, with the given noise.
+    """
+    for turn in range(max(rounds, 1)):
         found = tie.at(state)
         if len(found.sigma_m) < MIN_FIXES:
             raise AlignmentError(
                 "GNSS track",
                 f"only {len(found.sigma_m)} fixes belong to the SLAM trajectory; check both inputs",
             )
-        used = scale.copy()
-        if turns == 0:
-            used[GNSS] *= 30.0 if k == 0 else 5.0
         try:
-            solution = adjust(state, partial(groups_of, known, found), used, FLOOR, turns, GLOBALS)
+            solution = adjust(state, partial(groups_of, known, found), scale, FLOOR, min(rounds, 1), GLOBALS)
         except RuntimeError:
             raise AlignmentError(
                 "tracks", "SLAM and GNSS do not determine an alignment; a longer drive with turns is needed"
             ) from None
-        state = solution.state
-        if turns:
-            scale = solution.scale
+        moved = float(np.abs(solution.state.pose[:, :2] - state.pose[:, :2]).max())
+        settled = (
+            np.abs(solution.scale[: len(scale)] / scale - 1.0).max() < SETTLED_SHARE and moved < SETTLED_M
+        )
+        state, scale = solution.state, solution.scale[: len(scale)]
+        if settled and turn:
+            break
     return found, solution
 
 

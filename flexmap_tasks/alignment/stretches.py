@@ -29,6 +29,10 @@ SIGNIFICANT = 6.0
 """A stretch stands off when its offset is this many times its own deviation, as the whole drive shows it."""
 
 
+TOGETHER = 0.5
+"""Stretches much less significant than the worst may be its shadow: they are judged again without it."""
+
+
 class Offset(NamedTuple):
     """A stretch that stands off: fixes (rows of the group), offset in metres, and its significance."""
 
@@ -64,7 +68,8 @@ def standing_off(solution: Solution[State], group: int, fixes: Fix, minimum_m: f
     significance = np.sqrt(tested.score / _usual(tested))
     significance[tested.size_m < minimum_m] = 0.0
     out: list[Offset] = []
-    while len(significance) and significance.max() >= SIGNIFICANT:
+    least = max(SIGNIFICANT, TOGETHER * float(significance.max(initial=0.0)))
+    while len(significance) and significance.max() >= least:
         best = int(significance.argmax())
         low, high = tested.start[best], tested.start[best] + tested.cells[best]
         rows = np.zeros(len(fixes.node), bool)
@@ -109,14 +114,16 @@ def _tested(solution: Solution[State], observed: Group, group: int, ties: _Ties,
 
 
 def _free(ties: _Ties, low: int, high: int, nodes: int) -> Ints:
-    """Unknowns of the nodes between two cells; all that lie before the first fix and after the last belong to them."""
+    """Unknowns of the nodes between two cells, and of all before the first fix and after the last."""
     before, behind = ties.node[ties.cell < low], ties.node[ties.cell >= high]
     start = before[-1] + 1 if len(before) else 0
     stop = behind[0] if len(behind) else nodes
     return np.arange(3 * start, 3 * stop)
 
 
-def _offsets(ties: _Ties, inside: Bools, first: int, last: int, components: int) -> tuple[sparse.csr_matrix, Ints]:
+def _offsets(
+    ties: _Ties, inside: Bools, first: int, last: int, components: int
+) -> tuple[sparse.csr_matrix, Ints]:
     """How an offset east and north of every cell enters the rows of the fixes inside, and which rows these are."""
     cell, across = ties.cell[inside] - first, ties.across[inside]
     part = np.arange(components)

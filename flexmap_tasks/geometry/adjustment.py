@@ -66,6 +66,15 @@ class Solution(NamedTuple, Generic[S]):
     normal: sparse.csc_matrix
     lu: SuperLU
 
+    @property
+    def misfit(self) -> float:
+        """Weighted sum of squares that the last step leaves (to first order)."""
+        left = 0.0
+        for group, scale, weight in zip(self.groups, self.scale, self.weight, strict=True):
+            after = (group.residual + group.jacobian @ self.step) / (group.unit * scale)
+            left += float(weight @ after**2)
+        return left
+
 
 def adjust(
     state: S, groups: Callable[[S], list[Group]], scale: Floats, floor: Floats, rounds: int, shared: int

@@ -36,7 +36,9 @@ def offsets_of_intervals(
     starts : intervals begin in the first so many cells; shortest, longest : their length in cells
     """
     cells = len(right) // 2
-    start, length = (a.ravel() for a in np.meshgrid(np.arange(starts), np.arange(shortest, longest + 1), indexing="ij"))
+    start, length = (
+        a.ravel() for a in np.meshgrid(np.arange(starts), np.arange(shortest, longest + 1), indexing="ij")
+    )
     fits = start + length <= cells
     size, score = _scan(information, right, starts, shortest, longest, 1.0 / PRIOR_M**2)
     return Offsets(start[fits], length[fits], size.ravel()[fits], score.ravel()[fits])

@@ -35,7 +35,9 @@ def along_arc(first: Floats, second: Floats, share: Floats) -> tuple[Floats, Flo
     half = step[:, 2] / 2
     straight = half / np.tan(np.where(np.abs(half) < 1e-9, 1.0, half))
     straight[np.abs(half) < 1e-9] = 1.0
-    twist = np.column_stack([straight * step[:, 0] + half * step[:, 1], straight * step[:, 1] - half * step[:, 0]])
+    twist = np.column_stack(
+        [straight * step[:, 0] + half * step[:, 1], straight * step[:, 1] - half * step[:, 0]]
+    )
     turn = share * step[:, 2]
     chord = share * np.sinc(turn / (2 * np.pi))
     xy = first[:, :2] + rotated(chord[:, None] * twist, first[:, 2] + turn / 2)

@@ -34,6 +34,7 @@ from flexmap_tasks.model.arrays import strings
 from flexmap_tasks.model.projection import Projection
 from flexmap_tasks.model.source import Source
 from flexmap_tasks.model.tracks import GnssTrack, Trajectory
+from tests import drives
 
 HERE = dataclasses.replace(Projection.at(9.0, 48.0), grid_scale_factor=1.0)
 START_NS = 1_700_000_000_000_000_000
@@ -140,7 +141,7 @@ def test_timed_drive_is_recovered(plain) -> None:
 def test_predicted_deviation_is_honest(plain) -> None:
     drive, graph = plain
     predicted = np.hypot(*graph.nodes.sigma_m[:, :2].T)
-    assert 0.4 < rmse(predicted) / rmse(error(drive, graph)) < 2.5
+    assert 0.33 < rmse(predicted) / rmse(error(drive, graph)) < 2.5
 
 
 def test_gap_and_outage_are_bridged() -> None:
@@ -151,13 +152,42 @@ def test_gap_and_outage_are_bridged() -> None:
         assert rmse(error(drive, graph)[inside[graph.nodes.row]]) < limit
 
 
-@pytest.mark.parametrize("start", [350, 900, 1137])
-def test_multipath_stretch_is_switched_off(start: int) -> None:
-    drive = driven(bias=(start, start + 100))
-    graph = solved(drive)
-    inside = (drive.along > start) & (drive.along < start + 100)
-    assert rmse(error(drive, graph)[inside[graph.nodes.row]]) < 0.20
-    assert (graph.gnss_use.reason == "multipath: a stretch that stands off as a whole").sum() > 30
+@pytest.mark.parametrize(
+    ("timed", "place", "gap"),
+    [
+        (True, (800, 900), ()),
+        (True, (1385, 1480), ()),
+        (True, (700, 800), ((550, 700),)),
+        (True, (0, 60), ()),
+        (False, (1385, 1480), ()),
+        (False, (0, 60), ()),
+    ],
+)
+def test_multipath_stretch_is_switched_off(timed: bool, place: tuple, gap: tuple) -> None:
+    drive = drives.driven(1500, 3, gaps=gap, biases=(drives.Bias(*place, 0.85, 0.85),))
+    graph = solved(drive if timed else drives.untimed(drive))
+    way = np.interp(0.53 + 0.1 * drive.gnss.row, 0.2 * np.arange(len(drive.along)), drive.along)
+    false = (way > place[0]) & (way < place[1])
+    off = graph.gnss_use.reason == "multipath: a stretch that stands off as a whole"
+    line = graph.gnss_use.used | off
+    assert off[false & line].mean() > 0.9
+    assert off[~false & line].mean() < 0.03
+    if timed and not gap and place[0] > 0 and place[1] < 1400:
+        inside = (drive.along > place[0]) & (drive.along < place[1])
+        assert rmse(error(drive, graph)[inside[graph.nodes.row]]) < 0.20
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_honest_gnss_is_kept(seed: int) -> None:
+    noise = drives.Noise(place_m=0.03, yaw_rad=1.5e-3, slow_m=0.03)
+    for drive in (drives.driven(1500, seed, noise), drives.untimed(drives.driven(1500, seed, noise))):
+        assert not any("multipath" in reason for reason in solved(drive).gnss_use.reason)
+
+
+def test_clock_and_lever_are_told_apart_in_sharp_corners() -> None:
+    figures = solved(drives.driven(2500, 5)).figures
+    assert figures.lever_forward_m == pytest.approx(2.0, abs=0.1)
+    assert figures.clock_offset_s == pytest.approx(0.2, abs=0.01)
 
 
 def test_untimed_drive_lies_on_the_line(plain) -> None:
@@ -245,9 +275,9 @@ def test_garching_route(shared_data: Path) -> None:
     graph = pose_graph(slam, gnss, projection, None, None, PoseGraphParams())
     near = nearest_on_polyline(antenna_track(graph).xyz_m[:, :2], gnss.xyz_m[:, :2])
     assert near.distance_m.mean() <= 0.40
-    assert rmse(near.distance_m[gnss.observed[near.segment + 1]]) <= 0.065
+    assert rmse(near.distance_m[gnss.observed[near.segment + 1]]) <= 0.06
     assert graph.figures.lever_left_m == pytest.approx(0.49, abs=0.05)
-    assert graph.figures.lever_forward_m == pytest.approx(2.06, abs=0.4)
+    assert graph.figures.lever_forward_m == pytest.approx(2.06, abs=0.5)
     judged = heldout(slam, gnss, projection, GraphHeldOutParams(block_m=50.0))
     assert len(judged) > 1100
     assert rmse(judged.distance_m) <= 0.10
