@@ -21,8 +21,7 @@ def geoparquet(layer: VectorLayer) -> bytes:
         | {"geometry": pa.array(list(shapely.to_wkb(layer.geometry)), pa.binary())}
     )
     column: dict[str, Any] = {"encoding": "WKB", "geometry_types": [layer.kind]}
-    box = shapely.total_bounds(layer.geometry)
-    if np.isfinite(box).all():
+    if len(layer) and np.isfinite(box := shapely.total_bounds(layer.geometry)).all():
         column["bbox"] = box.tolist()
     geo = {"version": "1.1.0", "primary_column": "geometry", "columns": {"geometry": column}}
     return write_table(table.replace_schema_metadata({"geo": json.dumps(geo, sort_keys=True)}))
