@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import math
+from dataclasses import replace
 from typing import Any, TypeGuard
 
 import numpy as np
@@ -36,6 +37,35 @@ def control_points_of(sent: Any) -> ControlPoints:
         used=used,
         reason=strings("picked" if u else "excluded by the user" for u in used.tolist()),
     )
+
+
+def own_points(sent: ControlPoints, shown: ControlPoints | None, automatic: ControlPoints) -> ControlPoints:
+    """The points that the file has to hold, where automatic ones lie under it: the user's own, automatic ones that
+    were changed, and, not used, automatic ones that were removed.
+
+    sent : all points as the page has them; shown : as it was given them
+    """
+    auto, before = set(automatic.label.tolist()), {} if shown is None else _by_label(shown)
+    kept = [
+        i
+        for i, label in enumerate(sent.label.tolist())
+        if label not in auto or _row_of(sent, i) != before.get(label)
+    ]
+    gone = np.flatnonzero(~np.isin(automatic.label, sent.label) & automatic.used)
+    removed = replace(automatic.take(gone), used=np.zeros(len(gone), dtype=bool))
+    parts = sent.take(np.array(kept, dtype=np.int64)), removed
+    return ControlPoints(*(np.concatenate([getattr(p, n) for p in parts]) for n in ControlPoints.__slots__))
+
+
+def _by_label(points: ControlPoints) -> dict[str, tuple[object, ...]]:
+    """Automatic points as they were shown; those that a line of the file names are left out: the line stays."""
+    rows = enumerate(zip(points.label.tolist(), points.reason.tolist(), strict=True))
+    return {label: _row_of(points, i) for i, (label, why) in rows if "user" not in why.split(":", 1)[0]}
+
+
+def _row_of(points: ControlPoints, i: int) -> tuple[object, ...]:
+    places = (*points.source_xy_m[i].tolist(), *points.target_xy_m[i].tolist())
+    return (*(round(v, 3) for v in places), round(float(points.sigma_m[i]), 6), bool(points.used[i]))
 
 
 def csv_of(points: ControlPoints, motion: RigidMotion, projection: Projection, note: str) -> bytes:

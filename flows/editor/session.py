@@ -22,11 +22,13 @@ from flexmap_tasks.pipeline import map_update
 from flexmap_tasks.report.editing import Effect, control_point_page, left_out_error_m, preview
 from flexmap_tasks.report.maps import moved
 from flexmap_tasks.store.store import Store
-from flows.editor.pairs import control_points_of, csv_of
+from flows.editor.pairs import control_points_of, csv_of, own_points
 from flows.editor.saved_file import SavedFile, who_and_when
 from flows.editor.values import values_of
 
-NEEDED = ("project_utm", "umeyama", "ingest_slam", "ingest_lanelet_map", "cloud_extent")
+NEEDED = (
+    "project_utm", "umeyama", "ingest_slam", "ingest_lanelet_map", "cloud_extent", "automatic_control_points",
+)  # fmt: skip
 """Stages whose values the editor works with, as far as the run has them."""
 
 FEWEST = 3
@@ -48,6 +50,7 @@ class EditSession:
         self._projection, self._gnss = projected.projection, projected.gnss_track
         self._slam, self._motion = values["ingest_slam"], values["umeyama"]
         self._map, self._extent = values.get("ingest_lanelet_map"), values.get("cloud_extent")
+        self._automatic: ControlPoints | None = values.get("automatic_control_points")
         self._read()
         self._base = ThreadPoolExecutor(1).submit(self._solved) if self._by_graph else None
 
@@ -107,20 +110,27 @@ class EditSession:
     def save(self, sent: dict[str, Any]) -> dict[str, Any]:
         """Write the pairs to the file, if the pipeline would take them and nobody else wrote it meanwhile."""
         points = control_points_of(sent.get("pairs"))
-        content = csv_of(points, self._motion, self._projection, " ".join(who_and_when()))
+        own = points if self._automatic is None else own_points(points, self._read(), self._automatic)
+        content = csv_of(own, self._motion, self._projection, " ".join(who_and_when()))
         base = self._file.replace(content, sent.get("base"), self._checked)
-        said = f"saved {len(points)} pairs to {self._file.name}; flexmap run makes the map with them"
+        said = f"saved {len(own)} pairs to {self._file.name}; flexmap run makes the map with them"
         return {"said": said, "base": base}
 
     def _read(self) -> ControlPoints | None:
-        return self._checked(self._file.path) if self._file.digest() else None
+        return self._checked(self._file.path) if self._file.digest() else self._automatic
 
     def _checked(self, path: Path) -> ControlPoints:
         source = Source(self._file.name, path)
         alignment = self._config.alignment
         params = PairParams(**alignment.control_points.model_dump(), sheet=alignment.method == "rubber_sheet")
         return control_points(
-            source, self._slam, self._gnss, motion=self._motion, projection=self._projection, params=params
+            source,
+            self._slam,
+            self._gnss,
+            motion=self._motion,
+            projection=self._projection,
+            params=params,
+            automatic=self._automatic,
         )
 
     def _warp(self, points: ControlPoints) -> Warp:

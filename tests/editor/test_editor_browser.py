@@ -186,3 +186,30 @@ def test_hostile_names_are_text(page: Any, serve: Serve, config: FlexMapConfig, 
     assert "<img src=x" in page.inner_text("#rows")
     assert page.inner_text("#title") == config.map
     assert page.complaints == []
+
+
+def test_automatic_points_are_shown_and_overridden(
+    page: Any, serve: Serve, config: FlexMapConfig, store: Store
+) -> None:
+    settings = config.model_dump(mode="json")
+    settings["alignment"]["control_points"]["automatic"] = {"count": 8}
+    config = FlexMapConfig.model_validate(settings)
+    file = config.alignment.control_points_file
+    assert file is not None
+    file.unlink()
+    opened(page, serve(config))
+    count = page.locator("#rows tr").count()
+    assert page.locator("#rows .auto").count() == count >= 3
+    names = [text.split()[0:2] for text in page.locator("#rows td:nth-child(2)").all_inner_texts()]
+    page.click("#rows tr:nth-child(1) input[type=checkbox]")
+    page.click("#rows tr:nth-child(2) .close")
+    page.click("#save")
+    until(lambda: said(page, "saved 2 pairs"))
+    lines = file.read_text().splitlines()
+    assert len(lines) == 3
+    assert all(",no," in line for line in lines[1:])
+    points, _ = run(store, config)
+    left_out = set(points.label[~points.used].tolist())
+    assert {line.split(",")[0] for line in lines[1:]} <= left_out
+    assert len(points) >= count, names
+    assert page.complaints == []

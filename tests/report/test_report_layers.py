@@ -19,7 +19,10 @@ from report_runs import garching as garching_config
 from report_runs import inputs_of, made
 from test_report_browser import poisoned
 
+from flexmap_tasks.formats.geojson import geojson
+from flexmap_tasks.formats.geoparquet import geoparquet
 from flexmap_tasks.formats.osm_xml import parse_osm_xml
+from flexmap_tasks.model.layers import VectorLayer
 from flexmap_tasks.report.exports import LOOKS, export_layers
 
 pyogrio = pytest.importorskip("pyogrio", reason="pyogrio is not installed: pip install pyogrio")
@@ -199,5 +202,14 @@ def test_a_drive_without_maps_still_gives_its_tracks(inputs: dict[str, Any]) -> 
     names = ("control_points", "source_map", "final_map", "roads", "matches", "transfers", "lane_check",
              "map_findings", "transfer_findings", "bundle_findings")  # fmt: skip
     files = made(export_layers, inputs | dict.fromkeys(names))
-    assert {"flexmap.gpkg", "flexmap.qgs", "flexmap.mcap", "tracks.geojson"} <= set(files)
+    assert {"flexmap.gpkg", "flexmap.qgs", "flexmap.mcap", "tracks.geojson", "tracks.parquet"} <= set(files)
     assert "review.osm" not in files
+
+
+def test_a_layer_without_features_is_a_file_without_rows() -> None:
+    none = np.zeros(0, dtype=object)
+    layer = VectorLayer("review", "Point", none, {"reason": none, "row": np.zeros(0, np.int64)})
+    table = pq.read_table(io.BytesIO(geoparquet(layer)))
+    assert table.num_rows == 0
+    assert table.column_names == ["reason", "row", "geometry"]
+    assert json.loads(geojson(layer))["features"] == []

@@ -136,6 +136,10 @@ function show() {
   scene.redraw();
 }
 
+/** Why each point that was there is used or not; which of them nobody gave, so that they are the alignment's own. */
+const reasonOf = new Map(points ? points.label.map((name, i) => [name, points.reason[i]]) : []);
+const automatic = new Set([...reasonOf].filter(([, why]) => !/^(given|excluded) by the user/.test(why)).map(([name]) => name));
+
 /** How the widths of the lanes would change, and which lanelets by more than 10 cm, the worst first. */
 function widthRows(lanes) {
   const worst = [...lanes.lanelets].sort((a, b) => b[1] - a[1]);
@@ -157,7 +161,7 @@ function rowOf(pair, i) {
   const loo = answer?.left_out_m?.[i], left = answer?.residual_m?.[i];
   return el("tr", { class: i === chosen ? "chosen" : null, onclick: () => { chosen = i; show(); } },
     el("td", {}, el("input", { type: "checkbox", checked: pair.used, "aria-label": "use", onclick: (e) => e.stopPropagation(), onchange: () => change(() => { pairs[i].used = !pairs[i].used; }) })),
-    el("td", {}, foreign(pair.label.slice(0, 40))),
+    el("td", { title: reasonOf.get(pair.label) ?? "picked here" }, foreign(pair.label.slice(0, 40)), automatic.has(pair.label) ? el("small", { class: "auto" }, " automatic") : null),
     el("td", { class: "num" }, number(Math.hypot(pair.target[0] - pair.source[0], pair.target[1] - pair.source[1]), 2)),
     ...(data.method === "pose_graph" ? [el("td", { class: "num" }, left === null || left === undefined ? "–" : number(left, 2))] : []),
     el("td", { class: "num" }, loo === null || loo === undefined ? "–" : number(loo, 2)),
