@@ -50,7 +50,7 @@ class PathParams(Params):
         3.0,
         description="misfit of a road too small for several lanes in one direction, where the map has them",
     )
-    rounds: Annotated[int, Field(ge=1, le=10)] = Field(4, description="estimates of displacement and scatter")
+    rounds: Annotated[int, Field(ge=1, le=10)] = Field(3, description="estimates of displacement and scatter")
     review_confidence: Share = Field(0.7, description="a less certain match goes to review")
 
 

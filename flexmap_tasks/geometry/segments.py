@@ -106,6 +106,22 @@ def first_of_groups(*keys: NDArray[Any]) -> Ints:
     return first
 
 
+def least_of_groups(start: Ints, value: Floats) -> Ints:
+    """Row of the least value of every group of neighbouring rows, the first of equals.
+
+    start : (k,) int64, first row of every group, none empty
+    """
+    if not len(start):
+        return np.zeros(0, dtype=np.int64)
+    group = np.zeros(len(value), dtype=np.int64)
+    group[start[1:]] = 1
+    group = np.cumsum(group)
+    hit = np.flatnonzero(value == np.minimum.reduceat(value, start)[group])
+    of = group[hit]
+    first: Ints = hit[np.append(True, of[1:] != of[:-1])]
+    return first
+
+
 def running_maximum(value: Floats, group: Ints) -> Floats:
     """Largest value so far within each group of neighbouring rows, by doubling."""
     out, reach = value.copy(), 1

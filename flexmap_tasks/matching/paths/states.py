@@ -10,7 +10,7 @@ import shapely
 
 from flexmap_tasks.config import PathParams
 from flexmap_tasks.geometry.lanelets import offsets
-from flexmap_tasks.geometry.segments import first_of_groups, project
+from flexmap_tasks.geometry.segments import least_of_groups, project
 from flexmap_tasks.matching.paths.road_graph import RoadGraph, layer_of, one_way_of, tag
 from flexmap_tasks.matching.paths.samples import Samples
 from flexmap_tasks.model.arrays import Bools, Floats, Ints
@@ -63,8 +63,7 @@ class States:
 
 def best_states(states: States, probability: Floats) -> Ints:
     """(n,) the likeliest state of every sample, the first of equals."""
-    best: Ints = np.lexsort((-np.round(probability, 9), states.sample))[states.offset[:-1]]
-    return best
+    return least_of_groups(states.offset[:-1], -np.round(probability, 9))
 
 
 def near_segments(samples: Samples, graph: RoadGraph, radius_m: float) -> Near:
@@ -122,11 +121,10 @@ def states_of(
     """
     fits = _fits(samples, graph, near, near_cost, shift_m, sigma_m, params)
     sample, n = near.sample, len(samples)
-    best = first_of_groups(sample * len(graph) + fits.link, fits.cost, near.segment)
-    place = best[np.lexsort((fits.link[best], np.round(fits.cost[best], 9), sample[best]))]
-    rank = np.arange(len(place)) - np.searchsorted(sample[place], sample[place])
-    place = place[rank < params.candidates]
-    place = place[np.lexsort((fits.link[place], sample[place]))]
+    # Pairs are ordered by sample and segment, segments by link.
+    new = (sample[1:] != sample[:-1]) | (fits.link[1:] != fits.link[:-1])
+    place = least_of_groups(np.flatnonzero(np.append(True, new)[: len(sample)]), fits.cost)
+    place = place[_cheapest(sample[place], np.round(fits.cost[place], 9), params.candidates)]
     of = sample[place]
     offset = offsets(np.bincount(of, minlength=n) + 1)
     at, total = np.arange(len(place)) + of, int(offset[-1])
@@ -140,6 +138,17 @@ def states_of(
     out.cost[offset[1:] - 1] = weight * absent_cost * _absence(samples)
     out.offset_m[at], out.angle_deg[at] = fits.offset_m[place], fits.angle_deg[place]
     return out
+
+
+def _cheapest(sample: Ints, cost: Floats, most: int) -> Ints:
+    """Rows of the cheapest `most` of every sample, the first of equals, in the order they came in."""
+    rows = np.arange(len(sample))
+    crowded = np.flatnonzero((np.bincount(sample) > most)[sample]) if len(sample) else rows
+    order = crowded[np.lexsort((crowded, cost[crowded], sample[crowded]))]
+    rank = np.arange(len(order)) - np.searchsorted(sample[order], sample[order])
+    kept = np.ones(len(sample), dtype=bool)
+    kept[order[rank >= most]] = False
+    return rows[kept]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
