@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from flexmap_tasks.config import FlexMapConfig, ReportParams
+from flexmap_tasks.engine.graph import Graph
 from flexmap_tasks.engine.local import OnDone
 from flexmap_tasks.errors import InputError
 from flexmap_tasks.formats.review_decisions_csv import (
@@ -26,6 +27,8 @@ from flows.editor.values import inputs_of
 
 MOST_DECISIONS = 200_000
 PAGE = "the page"
+NOT_WAITED_FOR = ("bundle_findings", "cloud_findings")
+"""What the page can do without: the whole cloud would have to be moved for it."""
 
 
 class ReviewSession:
@@ -37,20 +40,22 @@ class ReviewSession:
 
     def prepare(self, done: OnDone) -> None:
         """Compute what the page needs, so that who opens it need not wait; told of every stage as it ends."""
-        inputs_of(self._store, map_update(_with_what_is_there(self._config)), "report", done)
+        inputs_of(self._store, self._graph(), "report", NOT_WAITED_FOR, done)
 
     def page(self) -> bytes:
         """The map as the decisions of the file make it, with all that is still open; computes what is not there."""
         base = self._file.digest()
-        graph = map_update(_with_what_is_there(self._config))
         params = ReportParams(map=self._config.map, background=self._config.background)
-        given, outcomes = inputs_of(self._store, graph, "report")
+        given, outcomes = inputs_of(self._store, self._graph(), "report", NOT_WAITED_FOR)
         data = report_data(**given, params=params)
         data["stages"] = [
             {"stage": o.name, "cached": o.cached, "seconds": round(o.seconds, 3)} for o in outcomes
         ]
         data["editor"] = {"base": base, "file": self._file.name}
         return review_page(self._config.map, data, self._places)
+
+    def _graph(self) -> Graph:
+        return map_update(_at_once(_with_what_is_there(self._config)))
 
     def save(self, sent: dict[str, Any]) -> dict[str, Any]:
         """Write all decisions to the file the pipeline reads; those without a time get the present one and a name.
@@ -84,6 +89,12 @@ def _row(row: Any, where: str) -> Row:
         if not isinstance(text, str) or text.encode("utf-8", "replace").decode() != text:
             raise InputError(PAGE, f"sent a {name} that is no text", where)
     return checked(row, PAGE, where)
+
+
+def _at_once(config: FlexMapConfig) -> FlexMapConfig:
+    """The run without the errors on withheld GNSS, which cost several times the alignment itself."""
+    evaluation = config.evaluation.model_copy(update={"held_out_block_m": 0.0, "held_out_rmse_max_m": None})
+    return config.model_copy(update={"evaluation": evaluation})
 
 
 def _with_what_is_there(config: FlexMapConfig) -> FlexMapConfig:

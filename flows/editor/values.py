@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import typing
 from collections.abc import Iterable
+from dataclasses import replace
 from typing import Any
 
 from flexmap_tasks.engine.execute import Engine, Outcome
-from flexmap_tasks.engine.graph import Graph, Ref
+from flexmap_tasks.engine.graph import Graph, Node, Ref
 from flexmap_tasks.engine.keys import arguments, input_types
 from flexmap_tasks.engine.local import OnDone, heal
 from flexmap_tasks.store.artifact import Artifact
@@ -21,13 +22,15 @@ def values_of(store: Store, graph: Graph, stages: Iterable[str]) -> dict[str, An
 
 
 def inputs_of(
-    store: Store, graph: Graph, stage: str, done: OnDone = lambda _outcome: None
+    store: Store, graph: Graph, stage: str, without: Iterable[str] = (), done: OnDone = lambda _outcome: None
 ) -> tuple[dict[str, Any], list[Outcome]]:
     """What a stage is called with, its params left out, and what became of the stages before; it does not run.
 
-    done : told of every stage as it ends
+    without : inputs that it can do without, for which nothing is computed; done : told of every stage as it ends
     """
-    return heal(lambda: _inputs(Engine(store), graph, stage, done))
+    node = graph.nodes[stage]
+    fed = {name: ref for name, ref in node.inputs.items() if name not in set(without)}
+    return heal(lambda: _inputs(Engine(store), graph, replace(node, inputs=fed), done))
 
 
 def _values(engine: Engine, graph: Graph, wanted: list[str]) -> dict[str, Any]:
@@ -43,8 +46,7 @@ def _values(engine: Engine, graph: Graph, wanted: list[str]) -> dict[str, Any]:
     return values
 
 
-def _inputs(engine: Engine, graph: Graph, stage: str, done: OnDone) -> tuple[dict[str, Any], list[Outcome]]:
-    node = graph.nodes[stage]
+def _inputs(engine: Engine, graph: Graph, node: Node, done: OnDone) -> tuple[dict[str, Any], list[Outcome]]:
     outcomes = _outcomes(engine, graph, set(node.upstream()), done)
     artifacts = {outcome.name: outcome.artifact for outcome in outcomes}
     kinds = input_types(node.stage)
