@@ -47,6 +47,7 @@ def georeference_cloud(
     assert config.point_cloud is not None  # noqa: S101 - there are tiles
     params, moved = only(PointCloudParams, config.point_cloud), config.alignment.master == "gnss"
 
+    # A point of a scan follows the poses that saw it, wherever they were: the whole warp concerns its tile.
     def touched(key: str, values: Mapping[str, Any]) -> Mapping[str, Any]:
         """The part of the warp that moves one tile."""
         return {"warp": values["warp"].restrict(tile_extent(key, params))} if "warp" in values else {}
@@ -61,7 +62,7 @@ def georeference_cloud(
         tile=tiles.field("tiles"),
         warp=aligned.warp if moved else None,
         frame=frame,
-        narrow=touched,
+        narrow=None if config.point_cloud.has_scans else touched,
     )
     merged = graph.run_each(
         merge_tile, "parts", only(PcdParams, config.point_cloud), parts=warped.transpose()

@@ -17,6 +17,7 @@ from flexmap_tasks.geometry.tiles import group_by_tile
 from flexmap_tasks.model.alignment import Extent, Warp
 from flexmap_tasks.model.arrays import Floats
 from flexmap_tasks.model.clouds import (
+    STAMP_FIELD,
     CloudFrame,
     PointCloud,
     TileIndex,
@@ -38,6 +39,8 @@ STRAY_M = 500.0
 """A cloud further from the poses than any lidar sees does not belong to them."""
 
 MAX_COORDINATE_M = 1e8
+LATEST_S = 9e9
+"""Later stamps do not fit 64 bits of nanoseconds."""
 NORMALS = (("normal_x", "normal_y"), ("nx", "ny"))
 
 
@@ -61,7 +64,7 @@ def warp_tile(
 
     Raises CoverageError when the warp moves a point beyond any map frame.
     """
-    xyz_m = tile.xyz_m.copy() if warp is None else np.asarray(warp.apply(tile.xyz_m), dtype=np.float64)
+    xyz_m = tile.xyz_m.copy() if warp is None else _moved(tile, warp)
     if not (np.abs(xyz_m) <= MAX_COORDINATE_M).all():
         raise CoverageError(
             "alignment", "the warp moves points of the cloud out of any map frame; check the control points"
@@ -143,6 +146,16 @@ def _coarse(tiles: TileKeys, size_m: int) -> list[tuple[str, str, str]]:
         "projector than MGRS, or point_cloud.coordinates float64"
     )
     return [("cloud-far-from-origin", "warning", message)]
+
+
+def _moved(tile: PointCloud, warp: Warp) -> Floats:
+    """The points moved by the corrections of the time each was seen at; by place where a time is not known."""
+    stamp_s = tile.fields.get(STAMP_FIELD)
+    if stamp_s is None or stamp_s.dtype != np.float64 or stamp_s.ndim != 1:
+        return np.asarray(warp.apply(tile.xyz_m), dtype=np.float64)
+    known = (stamp_s >= 0) & (stamp_s < LATEST_S)
+    stamp_ns = np.rint(np.where(known, stamp_s, 0.0) * 1e9).astype(np.int64)
+    return warp.apply_at(tile.xyz_m, np.where(known, stamp_ns, -1))
 
 
 def _turned_normals(tile: PointCloud, warp: Warp) -> dict[str, Floats]:

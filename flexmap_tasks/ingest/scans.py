@@ -32,15 +32,12 @@ from flexmap_tasks.geometry.se3 import (
 )
 from flexmap_tasks.ingest.tiling import tile_cloud
 from flexmap_tasks.model.arrays import Bools, Floats, Ints
-from flexmap_tasks.model.clouds import Tiles
+from flexmap_tasks.model.clouds import STAMP_FIELD, Tiles
 from flexmap_tasks.model.source import Source
 from flexmap_tasks.model.tracks import Trajectory
 
 TIME_FIELDS = ("t", "time", "timestamp", "offset_time", "time_stamp", "time_offset", "point_time")
 """Names that lidar drivers give to the time of a point (Ouster, Velodyne, Hesai, Livox, Nebula)."""
-
-STAMP = "stamp_s"
-"""Field of the cloud with the time that a point was placed by: seconds since the epoch, in steps of 0.24 us."""
 
 FIRST_SCANS = 5
 STILL_M, STILL_RAD = 0.2, np.radians(1.0)
@@ -127,7 +124,7 @@ class PlacedScans:
 
     @property
     def _stamp_name(self) -> str:
-        return usable_names([STAMP], [name for name, _ in self.fields])[0]
+        return usable_names([STAMP_FIELD], [name for name, _ in self.fields])[0]
 
     def findings(self) -> list[tuple[str, str, str]]:
         """(code, severity, message); complete once all blocks are read."""

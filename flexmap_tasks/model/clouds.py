@@ -16,6 +16,9 @@ from numpy.typing import NDArray
 from flexmap_tasks.model.arrays import Floats, Ints, Strings, require, strings
 from flexmap_tasks.model.maps import Findings
 
+STAMP_FIELD = "stamp_s"
+"""Field with the time at which a point was seen: seconds since the epoch on SLAM's clock, in steps of 0.24 us."""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PointCloud:
