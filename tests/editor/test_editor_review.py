@@ -219,6 +219,23 @@ def test_hostile_text_comes_back_as_it_was(serve: Serve, reviewed: FlexMapConfig
     assert (tmp_path / "decisions.csv").stat().st_mode & 0o777 == 0o644
 
 
+def test_who_does_not_know_the_token_or_comes_from_elsewhere_decides_nothing(
+    serve: Serve, reviewed: FlexMapConfig, tmp_path: Path
+) -> None:
+    server, body = serve(reviewed), b'{"base":"","decisions":[]}'
+    json_ = {"Content_Type": "application/json"}
+    for path in ("/wrong/decide", "/decide", f"/{server.token}x/decide"):
+        assert request(server, "POST", path, body, **json_)[0] == 403
+        assert request(server, "GET", path.replace("decide", "review"))[0] == 403
+    for headers in ({"Origin": "http://evil.example"}, {"Origin": "null"}, {"Host": "evil.example"}):
+        assert request(server, "POST", f"/{server.token}/decide", body, **json_, **headers)[0] == 403
+    for path in ("../decide", "decide/", "decide?x", "decisions.csv", "review/../decide", "%64ecide"):
+        assert request(server, "POST", f"/{server.token}/{path}", body, **json_)[0] == 404
+        assert request(server, "GET", f"/{server.token}/{path}")[0] == 404
+    assert request(server, "POST", f"/{server.token}/decide", b"[]", **json_)[0] == 400
+    assert not (tmp_path / "decisions.csv").exists()
+
+
 def test_the_pages_know_each_other(page: Any, serve: Serve, reviewed: FlexMapConfig) -> None:
     server = serve(reviewed)
     opened(page, server)
