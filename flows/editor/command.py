@@ -4,15 +4,18 @@ from __future__ import annotations
 
 import webbrowser
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from cyclopts import App
 
 from flexmap_tasks.config import FlexMapConfig
-from flexmap_tasks.engine.execute import Outcome
 from flexmap_tasks.formats.config_file import load_config
 from flexmap_tasks.store.store import Store
 from flows import console
 from flows.store_commands import STORE, Set, StoreUrl
+
+if TYPE_CHECKING:  # `flexmap run` that has nothing to do must not load the stages
+    from flexmap_tasks.engine.execute import Outcome
 
 
 def add_to(app: App) -> None:
