@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import shutil
+import subprocess
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -220,6 +222,15 @@ def test_edits_move_with_a_new_alignment(store: Store, inputs: Path, first: Path
 
 def shared_map() -> Path:
     return PROJECT.parent / "shared" / "data" / "garching" / "lanelet2_route_1.osm"
+
+
+@pytest.mark.parametrize("osm", ["osm_2023.osm", "osm_2016.osm"])
+def test_neither_date_of_osm_harms_the_map(store: Store, inputs: Path, judge: Path, osm: str) -> None:
+    pytest.importorskip("lanelet2", reason="the lanelet2 wheel has no build for this platform")
+    release = update(store, inputs, osm=osm)
+    command = [sys.executable, str(judge), "--moved", str(shared_map()), str(release / "lanelet2_map.osm")]
+    said = subprocess.run(command, capture_output=True, text=True, check=False).stdout
+    assert said.strip().splitlines()[-1] == "total harm: 0", said
 
 
 def test_edits_of_another_map_are_refused(store: Store, inputs: Path, shared_data: Path) -> None:
