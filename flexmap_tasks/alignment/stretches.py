@@ -104,8 +104,8 @@ def _tested(solution: Solution[State], observed: Group, group: int, ties: _Ties,
     p = solution.weight[group][rows] / (observed.unit[rows] * solution.scale[group]) ** 2
     jacobian = observed.jacobian[rows]
     weighted_offsets = (sparse.diags(p) @ offsets).tocsr()
-    coupling = (jacobian[:, unknowns].T @ weighted_offsets).toarray()
-    solved = factor(solution.normal[unknowns][:, unknowns].tocsc()).solve(coupling)
+    coupling = (jacobian[:, unknowns].T @ weighted_offsets).tocsr()
+    solved = factor(solution.normal[unknowns][:, unknowns].tocsc()).solve(coupling.toarray())
     information = (offsets.T @ weighted_offsets).toarray() - coupling.T @ solved
     right = weighted_offsets.T @ (observed.residual[rows] + jacobian @ solution.step)
     starts = min(CORE_CELLS, last - first)

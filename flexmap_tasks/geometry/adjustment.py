@@ -13,9 +13,8 @@ from typing import Generic, NamedTuple, Protocol, Self, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
-from scipy.sparse.linalg import SuperLU
 
-from flexmap_tasks.geometry.normal_equations import factor, inverse_on_pattern
+from flexmap_tasks.geometry.normal_equations import Factor, factor, inverse_on_pattern
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -64,7 +63,7 @@ class Solution(NamedTuple, Generic[S]):
     groups: list[Group]
     step: Floats
     normal: sparse.csc_matrix
-    lu: SuperLU
+    lu: Factor
 
     @property
     def misfit(self) -> float:
@@ -91,7 +90,7 @@ def adjust(
         scale = np.array([scale[g.scale_of] if g.scale_of >= 0 else 1.0 for g in observed])
         weight = [_weights(g, s) for g, s in zip(observed, scale, strict=True)]
         normal, right = _normal(observed, scale, weight)
-        lu = factor(normal)
+        lu = factor(normal, shared)
         step = -lu.solve(right)
         if not np.isfinite(step).all():
             raise RuntimeError("the observations do not determine the unknowns")

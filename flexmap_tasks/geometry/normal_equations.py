@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
@@ -9,29 +11,53 @@ from scipy import sparse
 from scipy.sparse.linalg import SuperLU, splu
 
 Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
 
 
-def factor(matrix: sparse.csc_matrix) -> SuperLU:
-    """L U of a symmetric positive definite matrix, pivots on the diagonal; RuntimeError when it is singular."""
-    return splu(
-        matrix,
-        permc_spec="MMD_AT_PLUS_A",
-        diag_pivot_thresh=0.0,
-        options={"SymmetricMode": True},
-    )
+class Factor(NamedTuple):
+    """L U of a system whose unknowns were put in another order: place k holds unknown `order[k]`."""
+
+    lu: SuperLU
+    order: Ints
+
+    def solve(self, right: Floats) -> Floats:
+        """(n,) or (n, k) solutions."""
+        out = np.empty_like(right)
+        out[self.order] = self.lu.solve(right[self.order])
+        return out
 
 
-def inverse_on_pattern(lu: SuperLU) -> sparse.csc_matrix:
+def factor(matrix: sparse.csc_matrix, shared: int = 0) -> Factor:
+    """L U of a symmetric positive definite matrix, pivots on the diagonal; RuntimeError when it is singular.
+
+    shared : how many unknowns at the end take part in very many equations. They are eliminated last, and the
+    minimum-degree ordering of the others is found without them: with them it grows with the square.
+    """
+    own = matrix.shape[0] - shared
+    pattern = matrix[:own, :own].tocsc(copy=True)
+    pattern.data = np.full(len(pattern.data), -1.0)
+    degree = np.diff(pattern.indptr)
+    stencil = (pattern + sparse.diags(degree + 1.0)).tocsc()
+    plan = splu(stencil, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
+    order = np.concatenate([np.argsort(plan.perm_c), np.arange(own, own + shared)]).astype(np.int64)
+    turned = matrix[order][:, order].tocsc()
+    lu = splu(turned, permc_spec="NATURAL", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
+    return Factor(lu, order)
+
+
+def inverse_on_pattern(found: Factor) -> sparse.csc_matrix:
     """The inverse, exact, at all entries where the factor is not zero (Takahashi, Fagan and Chin 1973).
 
     This is all a sparse adjustment needs: covariances of neighbours and redundancies of observations.
     """
-    lower = lu.L.tocsc()
+    lower = found.lu.L.tocsc()
     lower.sort_indices()
-    values = _takahashi(lower.indptr, lower.indices, lower.data, lu.U.diagonal())
+    values = _takahashi(lower.indptr, lower.indices, lower.data, found.lu.U.diagonal())
     half = sparse.csc_matrix((values, lower.indices, lower.indptr), shape=lower.shape)
     full = half + sparse.tril(half, -1).T
-    out: sparse.csc_matrix = full[lu.perm_c][:, lu.perm_c].tocsc()
+    place = np.empty(len(found.order), np.int64)
+    place[found.order] = found.lu.perm_c
+    out: sparse.csc_matrix = full[place][:, place].tocsc()
     return out
 
 

@@ -12,6 +12,7 @@ from importlib import import_module
 from tests.bench.measure import DATA, console
 
 SUBJECTS = (
+    "alignment",
     "garching",
     "conflation",
     "nothing_changed",

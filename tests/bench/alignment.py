@@ -1,0 +1,118 @@
+"""Alignment by pose graph: cost and growth beside evo's alignment, and what it reaches on known and on real drives."""
+
+from __future__ import annotations
+
+import time
+
+import numpy as np
+from evo.core.geometry import umeyama_alignment
+
+from flexmap_tasks.alignment.heldout import heldout
+from flexmap_tasks.alignment.pose_graph import antenna_track, pose_graph
+from flexmap_tasks.alignment.project import project_utm
+from flexmap_tasks.config import (
+    GnssParams,
+    GraphHeldOutParams,
+    PoseGraphParams,
+    ProjectionParams,
+    SlamParams,
+)
+from flexmap_tasks.evaluation.deviation import deviation
+from flexmap_tasks.ingest.gnss import ingest_gnss
+from flexmap_tasks.ingest.slam import ingest_slam
+from flexmap_tasks.model.pose_graph import PoseGraph
+from flexmap_tasks.model.source import Source
+from tests.bench.measure import DATA, best_cpu_s, show
+from tests.drives import HERE, Bias, Driven, driven, untimed
+
+
+def run() -> None:
+    """Cost and growth, then accuracy."""
+    _growth()
+    _simulated()
+    _garching()
+
+
+def _growth() -> None:
+    drive = driven(5_000, 1)
+    peer = best_cpu_s(lambda: umeyama_alignment(drive.slam.xyz_m.T, drive.xyz.T))
+    one = best_cpu_s(lambda: _solved(drive))
+    text = best_cpu_s(lambda: _solved(untimed(drive)))
+    rows = [
+        ("5 km with time", f"{one:.2f} s CPU", "at most 2"),
+        ("5 km, text files without time", f"{text:.2f} s CPU", "at most 2"),
+        ("evo's rigid alignment of the same poses, pairs given", f"{1e3 * peer:.2f} ms", ""),
+    ]
+    for length_km in (50, 500):
+        long = driven(1e3 * length_km, 1)
+        before = time.process_time()
+        graph = _solved(long)
+        cpu = time.process_time() - before
+        goal = f"{length_km // 5} times" if length_km == 50 else "100 times"
+        rows.append(
+            (f"{length_km} km with time", f"{cpu:.1f} s CPU = {cpu / one:.0f} times 5 km", f"about {goal}")
+        )
+        rows.append(("  its 2D RMSE", f"{_rmse(_error(long, graph)):.3f} m", ""))
+    show("Alignment by pose graph", rows)
+
+
+def _simulated() -> None:
+    rows = []
+    for name, goal, gaps, biases in (
+        ("observed", 0.06, (), ()),
+        ("100 m gap", 0.10, ((700.0, 800.0),), ()),
+        ("280 m outage", 0.40, ((900.0, 1180.0),), ()),
+        ("100 m of 1.2 m multipath", 0.20, (), (Bias(1000.0, 1100.0, 0.85, 0.85),)),
+    ):
+        errors = []
+        for seed in range(4):
+            drive = driven(2500, seed, gaps=gaps, biases=biases)
+            graph = _solved(drive)
+            at, inside = drive.along[graph.nodes.row], np.zeros(len(graph.nodes), bool)
+            for start, stop in [*gaps, *((b.start_m, b.stop_m) for b in biases)]:
+                inside |= (at > start) & (at < stop)
+            errors.append(_rmse(_error(drive, graph)[inside if inside.any() else ~inside]))
+        rows.append(
+            (name, f"{np.mean(errors):.3f} m, worst of {len(errors)} {max(errors):.3f}", f"at most {goal}")
+        )
+    show("Simulated drives, 2D RMSE inside", rows)
+
+
+def _garching() -> None:
+    folder = DATA / "garching"
+    slam = ingest_slam(Source("slam", folder / "route1_pose_kitti.txt"), SlamParams())
+    fixes = ingest_gnss(Source("gnss", folder / "route_1_GPS.txt"), GnssParams())
+    projected = project_utm(fixes, ProjectionParams())
+    gnss, projection = projected.gnss_track, projected.projection
+    graph = pose_graph(slam, gnss, projection, None, None, PoseGraphParams())
+    off = deviation(antenna_track(graph).xyz_m, gnss)
+    rigid = deviation(graph.motion.apply_xy(slam.xyz_m[:, :2]), gnss)
+    rows = [
+        ("valid poses, RMSE", f"{_rmse(off.distance_m[off.valid]):.3f} m", "at most 0.06"),
+        ("all poses, mean", f"{off.distance_m.mean():.3f} m", "at most 0.40"),
+        ("robust rigid alone, all poses, RMSE", f"{_rmse(rigid.distance_m):.2f} m", "at most 2.4"),
+        ("lever arm forward", f"{graph.figures.lever_forward_m:.2f} m", "2.06 +- 0.15"),
+        ("lever arm left", f"{graph.figures.lever_left_m:.2f} m", "0.49 +- 0.05"),
+    ]
+    for block_m, goal in ((50.0, 0.10), (100.0, 0.15), (250.0, 0.25)):
+        judged = heldout(slam, gnss, projection, GraphHeldOutParams(block_m=block_m))
+        rows.append(
+            (
+                f"held-out blocks of {block_m:.0f} m, RMSE",
+                f"{_rmse(judged.distance_m):.3f} m",
+                f"at most {goal}",
+            )
+        )
+    show("Garching, no hand input", rows)
+
+
+def _solved(drive: Driven) -> PoseGraph:
+    return pose_graph(drive.slam, drive.gnss, HERE, None, None, PoseGraphParams())
+
+
+def _error(drive: Driven, graph: PoseGraph) -> np.ndarray:
+    return np.hypot(*(graph.nodes.xyz_m - drive.xyz[graph.nodes.row])[:, :2].T)
+
+
+def _rmse(values: np.ndarray) -> float:
+    return float(np.sqrt((values**2).mean()))
