@@ -259,6 +259,26 @@ def test_every_tab_opens(shown: Any) -> None:
     assert shown.complaints == []
 
 
+@pytest.mark.parametrize("width", [1400, 900, 640])
+def test_nothing_lies_over_anything_else(shown: Any, width: int) -> None:
+    shown.page.set_viewport_size({"width": width, "height": 900})
+    shown.page.keyboard.press("n")
+    shown.page.wait_for_timeout(200)
+    boxes = {
+        name: shown.page.locator(name).bounding_box() for name in ("#stage", "#inspector", "#drawer", "#side")
+    }
+    there = {name: box for name, box in boxes.items() if box is not None}
+    assert len(there) >= 3
+    for name, a in there.items():
+        assert a["width"] >= 150, name
+        assert a["height"] >= 150, name
+        assert a["x"] + a["width"] <= width + 1
+        for other, b in there.items():
+            apart = a["x"] + a["width"] <= b["x"] + 1 or b["x"] + b["width"] <= a["x"] + 1
+            apart |= a["y"] + a["height"] <= b["y"] + 1 or b["y"] + b["height"] <= a["y"] + 1
+            assert apart or other == name, (name, other)
+
+
 def test_hostile_text_is_shown_as_text(open_report: Callable[..., Any], garching: dict[str, Any]) -> None:
     shown = open_report(poisoned(garching))
     for i in range(len(HOSTILE)):
