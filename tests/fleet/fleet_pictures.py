@@ -17,7 +17,8 @@ PATIENCE_MS = 240_000
 def take(server: Server, run_id: str, folder: Path, words: list[str]) -> None:
     """Pictures of an update's run, its report and its table; all of `words` must be read on the report."""
     folder.mkdir(parents=True, exist_ok=True)
-    report = server.artifact("towns-fleet-report")["id"]
+    wanted = {"key": {"any_": ["towns-fleet-report"]}}
+    report = server.ask("/artifacts/filter", artifacts=wanted, sort="CREATED_DESC")[0]["id"]
     with sync_playwright() as driver:
         chromium = driver.chromium.launch(
             executable_path=shutil.which("chromium"), args=["--no-sandbox", "--disable-gpu"]
