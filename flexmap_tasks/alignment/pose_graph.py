@@ -7,6 +7,7 @@ import numpy as np
 from flexmap_tasks.alignment.drive import Drive, drive_of
 from flexmap_tasks.alignment.height import lifted
 from flexmap_tasks.alignment.observations import ACROSS, ALONG, GNSS, YAW
+from flexmap_tasks.alignment.revisits import passes
 from flexmap_tasks.alignment.solve import Solved, solve
 from flexmap_tasks.config import PoseGraphParams
 from flexmap_tasks.engine.stage import stage
@@ -55,7 +56,10 @@ def pose_graph(
     )
     lift, sigma_up = _heights(slam, gnss, drive, solved, params.antenna_up_m)
     return PoseGraph(
-        _motion(solved), _nodes(drive, solved, lift, sigma_up), _figures(solved), _use(gnss, solved)
+        _motion(solved),
+        _nodes(drive, solved, lift, sigma_up),
+        _figures(drive, solved, params.revisit_radius_m),
+        _use(gnss, solved),
     )
 
 
@@ -182,7 +186,7 @@ def _nodes(drive: Drive, solved: Solved, lift: Floats, sigma_up: Floats) -> Grap
     )
 
 
-def _figures(solved: Solved) -> GraphFigures:
+def _figures(drive: Drive, solved: Solved, radius_m: float) -> GraphFigures:
     state, scale = solved.solution.state, solved.solution.scale
     shared = state.shared.tolist()
     variance = inverse_on_pattern(solved.solution.lu).diagonal()[-4:]
@@ -203,7 +207,17 @@ def _figures(solved: Solved) -> GraphFigures:
         noise_gnss=float(scale[GNSS]),
         revisit_edges=len(solved.known.revisit.first),
         revisit_agreement=_agreement(solved, state),
+        revisit_disagreement_m=_disagreement(drive, state, radius_m),
     )
+
+
+def _disagreement(drive: Drive, state: State, radius_m: float) -> float:
+    """90th percentile over all pairs of passes, in the plane."""
+    pairs = passes(drive.pose[drive.node], radius_m)
+    if len(pairs.first) == 0:
+        return 0.0
+    gap = relative_rows(state, pairs).residual.reshape(-1, 3)
+    return float(np.percentile(np.hypot(gap[:, 0], gap[:, 1]), 90))
 
 
 def _agreement(solved: Solved, state: State) -> float:

@@ -21,6 +21,13 @@ APART_RADII = 2.0
 
 
 def revisit_edges(pose: Floats, radius_m: float) -> Relative:
+    """Those of `passes` that say something new, one per stretch of both passes."""
+    found = passes(pose, radius_m)
+    pairs = np.column_stack([found.first, found.second])
+    return _pairs(pose, pairs[_separate(arc_length_m(pose[:, :2])[pairs], APART_RADII * radius_m)])
+
+
+def passes(pose: Floats, radius_m: float) -> Relative:
     """Pairs of nodes on different passes within `radius_m`, and how SLAM sees one from the other.
 
     pose : (n, 3) nodes in the SLAM frame
@@ -40,11 +47,13 @@ def revisit_edges(pose: Floats, radius_m: float) -> Relative:
     rank = np.arange(len(i)) - np.concatenate([[0], np.cumsum(np.bincount(i, minlength=len(pose)))])[i]
     pairs = np.sort(np.column_stack([i, j])[rank < MAX_PER_POSE], axis=1)
     pairs = np.unique(pairs, axis=0).reshape(-1, 2)
-    return _pairs(pose, pairs[_separate(along[pairs], APART_RADII * radius_m)])
+    return _pairs(pose, pairs)
 
 
 def _separate(at_m: Floats, apart_m: float) -> Ints:
     """Rows of pairs of which no two lie in the same cells of the way: (m, 2) places of both passes."""
+    if len(at_m) == 0:
+        return np.empty(0, np.int64)
     _, first = np.unique(np.floor(at_m / apart_m).astype(np.int64), axis=0, return_index=True)
     return np.sort(first)
 

@@ -25,6 +25,8 @@ def graph_measures(
     yield Measure("clock_offset", figures.clock_offset_s, "s")
     yield Measure("revisit_edges", float(figures.revisit_edges), "count")
     yield Measure("revisit_agreement", figures.revisit_agreement, "1")
+    passes = figures.revisit_disagreement_m if figures.revisit_edges else None
+    yield Measure("revisit_disagreement_p90", passes, "m")
     yield Measure("gnss_used", float(np.count_nonzero(use.used)), "count")
     yield Measure("gnss_left_out", float(np.count_nonzero(~use.used)), "count")
     sigma = np.sqrt((nodes.sigma_m[:, :2] ** 2).mean(axis=1))

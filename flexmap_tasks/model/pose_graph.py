@@ -42,6 +42,8 @@ class GraphFigures:
     sigma_* : their predicted standard deviations
     noise_along_m, noise_across_m, noise_yaw_rad : of SLAM over 3 m; noise_gnss : factor on the stated sigmas
     revisit_edges : pairs of poses on different passes of one place; their share that the graph agrees with
+    revisit_disagreement_m : what nine of ten passes stay under: how far the graph has a pass from where SLAM saw it
+    from another pass of the same place; 0 without such places
     """
 
     timed: bool
@@ -59,6 +61,7 @@ class GraphFigures:
     noise_gnss: float
     revisit_edges: int
     revisit_agreement: float
+    revisit_disagreement_m: float
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -91,6 +91,7 @@ def _garching() -> None:
         ("valid poses, RMSE", f"{_rmse(off.distance_m[off.valid]):.3f} m", "at most 0.06"),
         ("all poses, mean", f"{off.distance_m.mean():.3f} m", "at most 0.40"),
         ("robust rigid alone, all poses, RMSE", f"{_rmse(rigid.distance_m):.2f} m", "at most 2.4"),
+        ("same road passed twice, p90", f"{graph.figures.revisit_disagreement_m:.3f} m", "at most 0.08"),
         ("lever arm forward", f"{graph.figures.lever_forward_m:.2f} m", "2.06 +- 0.15"),
         ("lever arm left", f"{graph.figures.lever_left_m:.2f} m", "0.49 +- 0.05"),
     ]
