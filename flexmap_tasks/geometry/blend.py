@@ -32,11 +32,8 @@ MOST_PAGES, MOST_CELLS = 1 << 14, 1 << 22
 REACH_PER_SIGMA = 8.0**0.5
 """(1 - x^2)^4 over this many sigmas is a Gaussian with an end."""
 
-REACH_GROWTH, REACH_CURVE_M = 1.5, 60.0
-"""How the kernel's reach grows with the distance d from the nearest pose: by 1.5 d + d^2 / 60 m.
-
-Off the road, motions from all around meet whose turns carry far; taking in many keeps lanes there in shape.
-"""
+REACH_GROWTH = 1.5
+"""How much the kernel's reach grows per metre of distance from the nearest pose."""
 
 FARTHEST_M = 1e8
 """Nothing on Earth lies further from its map's origin; such places become NaN."""
@@ -72,7 +69,7 @@ class Page(NamedTuple):
 
 def reach_m(motions: Motions, nearest_m: Floats | float) -> Floats | float:
     """How far the kernel reaches at a place whose nearest pose is this far away."""
-    return REACH_PER_SIGMA * motions.sigma_m + nearest_m * (REACH_GROWTH + nearest_m / REACH_CURVE_M)
+    return REACH_PER_SIGMA * motions.sigma_m + REACH_GROWTH * nearest_m
 
 
 def seen_from(motions: Motions, tree: cKDTree, low: Floats, high: Floats) -> Ints:
@@ -117,7 +114,7 @@ def _block(i0, j0, source, target, linear, lift, variance, reach0, shift, sigma)
                 dx, dy = x - source[k, 0], y - source[k, 1]
                 square[k] = dx * dx + dy * dy
                 nearest = min(nearest, square[k])
-            reach = reach0 + REACH_GROWTH * np.sqrt(nearest) + nearest / REACH_CURVE_M
+            reach = reach0 + REACH_GROWTH * np.sqrt(nearest)
             total, east, north, up, spread, apart = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
             for k in range(len(source)):
                 w = 1.0 - square[k] / (reach * reach)
