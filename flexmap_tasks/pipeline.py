@@ -36,6 +36,7 @@ from flexmap_tasks.ingest.osm_roads import ingest_osm_roads
 from flexmap_tasks.ingest.slam import ingest_slam
 from flexmap_tasks.pipeline_cloud import georeference_cloud, ingest_cloud
 from flexmap_tasks.pipeline_conflation import Maps, conflate, with_edits
+from flexmap_tasks.pipeline_drives import fuse
 from flexmap_tasks.pipeline_parts import Adjusted, Aligned, Cloud, Conflated, Drawn, Drive, only
 from flexmap_tasks.report.bundle_check import check_bundle
 from flexmap_tasks.report.exports import export_layers
@@ -115,7 +116,13 @@ def _align(
         points = _control_points(graph, config, Drive(projection, gnss, slam), motion)
     if alignment.method == "pose_graph":
         adjusted = _adjust(graph, config, Drive(projection, gnss, slam), points, motion)
-        warp = graph.run(pose_graph_warp, alignment.pose_graph, graph=adjusted.graph, slam=slam)
+        fused = fuse(graph, config, projection, adjusted.graph) if config.drives else None
+        warp = graph.run(
+            pose_graph_warp,
+            alignment.pose_graph,
+            graph=fused or adjusted.graph,
+            slam=None if fused else slam,  # nodes of several drives have no common time
+        )
     elif alignment.method == "rubber_sheet":
         extent = graph.run(cloud_extent, index=tiles.field("index")) if tiles else None
         warp = graph.run(

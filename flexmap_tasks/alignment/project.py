@@ -9,7 +9,7 @@ from flexmap_tasks.engine.stage import stage
 from flexmap_tasks.errors import AlignmentError, ConfigError
 from flexmap_tasks.geometry import utm
 from flexmap_tasks.geometry.breaks import observed_steps
-from flexmap_tasks.model.arrays import Bools
+from flexmap_tasks.model.arrays import Bools, Ints
 from flexmap_tasks.model.projection import Projection
 from flexmap_tasks.model.tracks import STATUS_NONE, GnssFixes, GnssTrack, Projected
 
@@ -24,16 +24,39 @@ def project_utm(fixes: GnssFixes, params: ProjectionParams) -> Projected:
     Raises AlignmentError when no usable fix is left or a fix lies where UTM ends, ConfigError when the
     configured zone cannot hold the origin.
     """
+    rows = _checked_rows(fixes)
+    projection = _projection(fixes, int(rows[0]), params)
+    return Projected(_track(fixes, rows, projection), projection)
+
+
+def projected_track(fixes: GnssFixes, projection: Projection) -> GnssTrack:
+    """The fixes in a map frame that is there already.
+
+    Raises AlignmentError when no usable fix is left or the first lies where the frame's UTM zone does not reach.
+    """
+    rows = _checked_rows(fixes)
+    lon, lat = float(fixes.lon_deg[rows[0]]), float(fixes.lat_deg[rows[0]])
+    if not utm.in_reach(projection.epsg, lon, lat):
+        rule = f"the first fix at {lat:.5f}, {lon:.5f} (lat, lon) is out of reach of the map's EPSG:{projection.epsg}"
+        raise AlignmentError("GNSS fixes", rule)
+    return _track(fixes, rows, projection)
+
+
+def _checked_rows(fixes: GnssFixes) -> Ints:
+    """Rows with a position that UTM covers."""
     rows = np.flatnonzero(_usable(fixes))
     if len(rows) == 0:
         raise AlignmentError(
             "GNSS fixes", f"none of {len(fixes)} fixes has a position; choose another topic or file"
         )
     _check_latitudes(fixes, rows.tolist())
-    projection = _projection(fixes, int(rows[0]), params)
+    return rows
+
+
+def _track(fixes: GnssFixes, rows: Ints, projection: Projection) -> GnssTrack:
     xy_m = projection.to_xy_m(np.column_stack([fixes.lon_deg[rows], fixes.lat_deg[rows]]))
     stamp_ns = None if fixes.stamp_ns is None else fixes.stamp_ns[rows]
-    track = GnssTrack(
+    return GnssTrack(
         xyz_m=np.column_stack([xy_m, fixes.alt_m[rows]]),
         sigma_m=np.column_stack([fixes.sigma_east_m, fixes.sigma_north_m, fixes.sigma_up_m])[rows],
         status=fixes.status[rows],
@@ -41,7 +64,6 @@ def project_utm(fixes: GnssFixes, params: ProjectionParams) -> Projected:
         observed=observed_steps(xy_m, None if stamp_ns is None else (stamp_ns - stamp_ns[0]) * 1e-9),
         stamp_ns=stamp_ns,
     )
-    return Projected(track, projection)
 
 
 def _usable(fixes: GnssFixes) -> Bools:

@@ -37,6 +37,8 @@ from flexmap_tasks.config.conflation import (
 )
 from flexmap_tasks.config.inputs import (
     CloudCheckParams,
+    DriveInput,
+    DriveName,
     GnssInput,
     GnssParams,
     LaneletMapInput,
@@ -75,6 +77,8 @@ __all__ = [
     "CollapseParams",
     "ConflationParams",
     "ControlPointsParams",
+    "DriveInput",
+    "DriveName",
     "EvaluationParams",
     "FlexMapConfig",
     "GapsParams",

@@ -45,6 +45,19 @@ class SlamInput(SlamParams):
     file: Path
 
 
+class DriveName(Params):
+    """What a drive beside the map's own is called."""
+
+    name: Annotated[str, StringConstraints(pattern=r"^[A-Za-z0-9][A-Za-z0-9_-]{0,99}$")]
+
+
+class DriveInput(DriveName):
+    """Another recording of the area, its SLAM poses localised in the frame of the map's own SLAM."""
+
+    gnss: GnssInput
+    slam: SlamInput
+
+
 class EditsInput(Params):
     """What a person has changed in a released map: the release they opened, and what they saved."""
 
