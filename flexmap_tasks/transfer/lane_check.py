@@ -60,8 +60,8 @@ def lane_counts(centerlines: Centerlines, lanelets: Lanelets) -> LaneCounts:
 def expected_lanes(tags: Mapping[str, str], sense: int) -> Expected:
     """Lanes of a way for a lanelet along it (`sense` +1) or against it (-1).
 
-    From `lanes:forward` or `lanes:backward`, else `lanes`, else the number of entries of `turn:lanes`. Bus
-    lanes are lanes, as OSM counts them; cycle lanes and shoulders are none.
+    From `lanes:forward` or `lanes:backward`, else `lanes` less those of the other direction, else the number of
+    entries of `turn:lanes`. Bus lanes are lanes, as OSM counts them; cycle lanes and shoulders are none.
     """
     one_way = bool(one_way_sense(tags))
     side, other = ("forward", "backward") if sense > 0 else ("backward", "forward")
@@ -78,11 +78,19 @@ def expected_lanes(tags: Mapping[str, str], sense: int) -> Expected:
     if f"lanes:{side}" in lanes:
         return Expected(lanes[f"lanes:{side}"], True, f"lanes:{side}={lanes[f'lanes:{side}']}")
     if total is not None:
-        return Expected(total, one_way, f"lanes={total}")
+        return _of_all(total, parts if f"lanes:{other}" in lanes else 0, one_way)
     for key in (f"turn:lanes:{side}", "turn:lanes") if one_way else (f"turn:lanes:{side}",):
         if tags.get(key, "").strip():
             return Expected(tags[key].count("|") + 1, True, f"{key}={tags[key][:40]}")
     return Expected(-1, False, NO_LANES)
+
+
+def _of_all(total: int, others: int, one_way: bool) -> Expected:
+    """From `lanes`, and those of them that are told to be for other directions."""
+    if not others:
+        return Expected(total, one_way, f"lanes={total}")
+    reason = f"lanes={total}, of them {others} not in this direction"
+    return Expected(total - others if total > others else -1, True, reason)
 
 
 def check_lanes(

@@ -16,6 +16,7 @@ from flexmap_tasks.model.maps import Findings, LaneletMap
 from flexmap_tasks.model.osm import rows_of
 from flexmap_tasks.model.review import COUNTS, ReviewDecisions
 from flexmap_tasks.transfer.values import format_kmh, speed_kmh
+from flexmap_tasks.transfer.write import attributed
 
 UNUSED = "review-decision-unused"
 Key = tuple[int, int, str, str, str]
@@ -142,9 +143,8 @@ def _write(lanelet_map: LaneletMap, table: Transfers, rows: Ints) -> LaneletMap:
     if not len(rows):
         return lanelet_map
     tags = relations.tags.with_values(lanelets[at], table.key[rows], table.new[rows])
-    return replace(
-        lanelet_map, document=replace(lanelet_map.document, relations=replace(relations, tags=tags))
-    )
+    document = replace(lanelet_map.document, relations=replace(relations, tags=tags))
+    return replace(lanelet_map, document=attributed(document))
 
 
 def _with_unused(findings: Findings, unused: Iterable[ReviewDecisions]) -> Findings:

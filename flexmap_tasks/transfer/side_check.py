@@ -59,6 +59,9 @@ def _bus_lanes(tags: Mapping[str, str], suffixes: tuple[str, ...]) -> int | None
 def _by_side(tags: Mapping[str, str], key: str, sides: tuple[str, ...]) -> int | None:
     """Sides that have it; None where no side is mentioned. `key=right` says that the left has none."""
     plain = tags.get(key, "").strip().lower()
+    sided = any(tags.get(f"{key}:{side}", "").strip() for side in (*sides, "both"))
+    if len(sides) > 1 and not sided and plain in _YES and plain != "both":
+        return 1  # on a one-way road a value without a side stands for one lane
     said = []
     for side in sides:
         value = tags.get(f"{key}:{side}", "").strip().lower() or tags.get(f"{key}:both", "").strip().lower()

@@ -9,12 +9,13 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal, TypeAlias
 
 from flexmap_tasks.config import TransferParams, TransferRule
 
-KMH_PER_MPH = 1.609344
+KMH_PER_UNIT = {"mph": 1.609344, "knots": 1.852}
+"""Units that OSM writes behind a number; without one it is km/h."""
 WALK_KMH = 7.0
 """`maxspeed=walk`: what Lanelet2 itself drives in a play street."""
 SPEED_RANGE_KMH = (3.0, 150.0)
@@ -25,13 +26,16 @@ NONURBAN_HIGHWAYS = ("motorway", "motorway_link", "trunk", "trunk_link")
 CLOSED_SUBTYPES = ("bus_lane", "bicycle_lane", "walkway", "shared_walkway", "stairs", "crosswalk")
 """Subtypes Lanelet2 closes to cars: never given to a lanelet that its author left open."""
 
-_NUMBER = re.compile(r"([0-9]{1,3}(?:\.[0-9]{1,3})?) ?(km/h|kmh|kph|mph)?\Z")
+_NUMBER = re.compile(r"([0-9]{1,3}(?:\.[0-9]{1,3})?) ?(km/h|kmh|kph|mph|knots)?\Z")
 _ZONE_NUMBER = re.compile(r"([a-z]{2}):(?:zone:?)?([0-9]{2,3})\Z")
 _MPH_COUNTRIES = ("gb", "uk", "us")
 _WORD = re.compile(r"[a-z0-9_:.-]{1,64}\Z")
 _ZONE_KEYS = ("zone:traffic", "maxspeed:type", "source:maxspeed", "zone:maxspeed", "maxspeed")
-_URBAN = re.compile(r"(?:[a-z]{2}:)?(?:urban|living_street|zone:?[0-9]+|bicycle_road)\Z|[a-z]{2}:[23]0\Z")
-_NONURBAN = re.compile(r"(?:[a-z]{2}:)?(?:rural|motorway|trunk|nsl_single|nsl_dual)\Z")
+_COUNTRY = r"(?:[a-z]{2}(?:-[a-z]{1,3})?:)?"
+_URBAN = re.compile(
+    rf"{_COUNTRY}(?:urban|living_street|nsl_restricted|zone:?[0-9]+|bicycle_road)\Z|[a-z]{{2}}:[23]0\Z"
+)
+_NONURBAN = re.compile(rf"{_COUNTRY}(?:rural|motorway|trunk|nsl_single|nsl_dual)\Z")
 _YES, _NO = ("yes", "true", "1"), ("no", "false", "0")
 
 
@@ -86,6 +90,14 @@ def offer(
     around: Around = NOWHERE,
 ) -> Offer:
     """What a way with these tags offers a lanelet that runs along it (+1), against it (-1) or both ways (0)."""
+    also = _at_times(rule.key, tags, sense)
+    found = _always(rule, tags, sense, params, around)
+    return replace(found, also=also) if also else found
+
+
+def _always(
+    rule: TransferRule, tags: Mapping[str, str], sense: int, params: TransferParams, around: Around
+) -> Offer:
     match rule.parser:
         case "speed":
             return _speed(rule, tags, sense, params)
@@ -130,7 +142,7 @@ def _one_speed_kmh(text: str, zones: Zones) -> float | None:
     if text in zones:
         return float(zones[text])
     if hit := _NUMBER.match(text):
-        return float(hit[1]) * (KMH_PER_MPH if hit[2] == "mph" else 1.0)
+        return float(hit[1]) * KMH_PER_UNIT.get(hit[2], 1.0)
     if (hit := _ZONE_NUMBER.match(text)) and hit[1] not in _MPH_COUNTRIES:
         return float(hit[2])
     return None
@@ -161,11 +173,26 @@ def count(text: str) -> int | None:
 def _directed(rule: TransferRule, tags: Mapping[str, str], sense: int) -> str:
     """The value for this direction of the way, else the one for both; two values where both directions differ."""
     for key in (rule.key, *rule.variants):
-        sides = {1: ("forward",), -1: ("backward",)}.get(sense, ("forward", "backward"))
-        found = {tags.get(f"{key}:{side}", "").strip() or tags.get(key, "").strip() for side in sides}
-        if found != {""}:
-            return ";".join(sorted(found - {""}))
+        if found := _by_direction(key, tags, sense):
+            return ";".join(found)
     return ""
+
+
+def _by_direction(key: str, tags: Mapping[str, str], sense: int) -> list[str]:
+    sides = {1: ("forward",), -1: ("backward",)}.get(sense, ("forward", "backward"))
+    found = {tags.get(f"{key}:{side}", "").strip() or tags.get(key, "").strip() for side in sides}
+    return sorted(found - {""})
+
+
+def _at_times(key: str, tags: Mapping[str, str], sense: int) -> str:
+    """What holds only at times in this direction: conditional and variable values."""
+    other = {1: "backward", -1: "forward"}.get(sense)
+    told = (
+        k
+        for k in sorted(tags)
+        if k.startswith(f"{key}:") and (k.endswith(":conditional") or k == f"{key}:variable")
+    )
+    return "; ".join(f"{k}={tags[k]}" for k in told if tags[k].strip() and other not in k.split(":"))
 
 
 def _text(value: str) -> Offer:
@@ -186,28 +213,28 @@ def _word(value: str) -> Offer:
 
 
 def _speed(rule: TransferRule, tags: Mapping[str, str], sense: int, params: TransferParams) -> Offer:
-    key = rule.key
-    also = "; ".join(
-        f"{k}={tags[k]}"
-        for k in sorted(tags)
-        if k.startswith(f"{key}:")
-        and (k.endswith(":conditional") or k == f"{key}:variable")
-        and tags[k].strip()
-    )
-    text = _directed(rule, tags, sense) or tags.get(f"{key}:lanes", "").strip()
+    text = _limits(rule, tags, sense)
     if not text:
-        return Offer(also=also)
+        return NOTHING
     speed = speed_kmh(text, params.zone_speeds_kmh)
     if speed is None:
-        return Offer(text[:TEXT_LENGTH_MAX], problem="not understood as one speed limit", also=also)
+        return Offer(text[:TEXT_LENGTH_MAX], problem="not understood as one speed limit")
     if math.isinf(speed):
         if params.no_limit_kmh is None:
-            return Offer(text, problem="no limit: Lanelet2 has no value for it, set no_limit_kmh", also=also)
+            return Offer(text, problem="no limit: Lanelet2 has no value for it, set no_limit_kmh")
         speed = params.no_limit_kmh
     low, high = SPEED_RANGE_KMH
     if not low <= speed <= high:
-        return Offer(text, problem=f"a limit outside {low:g} to {high:g} km/h", also=also)
-    return Offer(format_kmh(speed), also=also)
+        return Offer(text, problem=f"a limit outside {low:g} to {high:g} km/h")
+    return Offer(format_kmh(speed))
+
+
+def _limits(rule: TransferRule, tags: Mapping[str, str], sense: int) -> str:
+    """The limit of the road and those of its lanes; a lane without one of its own has the road's."""
+    road = _directed(rule, tags, sense)
+    lanes = [x for text in _by_direction(f"{rule.key}:lanes", tags, sense) for x in text.split("|")]
+    own = "|".join(x for x in lanes if x.strip() or not road)
+    return ";".join(text for text in (road, own) if text)
 
 
 def _subtype(highway: str, params: TransferParams) -> Offer:

@@ -13,6 +13,10 @@ from flexmap_tasks.model.maps import LaneletMap
 from flexmap_tasks.model.osm import OsmDocument, OsmRelations, Tags, rows_of
 from flexmap_tasks.transfer.cuts.cut import RULE, NewIds, Pieces, joined_tags, ranges
 
+ATTRIBUTION = (
+    "Road data © OpenStreetMap contributors, Open Database License, https://www.openstreetmap.org/copyright"
+)
+
 
 def written(
     cut: LaneletMap, pieces: Pieces, values: Transfers, check: LaneCheck, params: TransferParams
@@ -23,7 +27,16 @@ def written(
     ruled = chosen & np.isin(values.key.astype(str), sorted(as_rule))
     document = _with_tags(cut.document, pieces, values, np.flatnonzero(chosen & ~ruled), check, params)
     document = _with_rules(document, values, np.flatnonzero(ruled))
-    return cut if document is cut.document else replace(cut, document=document)
+    return cut if document is cut.document else replace(cut, document=attributed(document))
+
+
+def attributed(document: OsmDocument) -> OsmDocument:
+    """The document with what the licence of OpenStreetMap's data (ODbL) wants to be read, on the root of its XML."""
+    own = document.root.get("attribution", "")
+    if ATTRIBUTION in own:
+        return document
+    text = f"{own}; {ATTRIBUTION}" if own else ATTRIBUTION
+    return replace(document, root={**document.root, "attribution": text})
 
 
 def _with_tags(

@@ -10,6 +10,9 @@ import shapely
 
 from flexmap_tasks.model.arrays import Floats
 
+VERTEX_M = 0.01
+"""A cut this near to a vertex is made at it, whatever else is asked for."""
+
 
 @dataclass(frozen=True, slots=True)
 class Line:
@@ -39,13 +42,19 @@ def at_share(line: Line, share: Floats) -> Floats:
     return np.stack([np.interp(at, line.along_m, line.xy_m[:, i]) for i in (0, 1)], axis=1)
 
 
-def place(line: Line, share: float, snap_m: float) -> WayCut:
-    """The cut at a share of the line's length, moved to an inner vertex within `snap_m`."""
+def place(line: Line, share: float, snap_m: float, end_m: float) -> WayCut:
+    """The cut at a share of the line's length, moved to an inner vertex within `snap_m`.
+
+    A vertex nearer than `end_m` to an end is passed over, unless the cut lies on it.
+    """
     at = share * float(line.along_m[-1])
-    if len(line.along_m) > 2:
-        inner = 1 + int(np.argmin(np.abs(line.along_m[1:-1] - at)))
-        if abs(float(line.along_m[inner]) - at) <= snap_m:
-            return WayCut(inner, 0.0, float(line.along_m[inner]))
+    away = np.abs(line.along_m - at)
+    clear = np.minimum(line.along_m, line.along_m[-1] - line.along_m) >= end_m
+    away[~(clear | (away <= VERTEX_M))] = np.inf
+    away[[0, -1]] = np.inf
+    inner = int(np.argmin(away))
+    if away[inner] <= max(snap_m, VERTEX_M):
+        return WayCut(inner, 0.0, float(line.along_m[inner]))
     i = int(np.clip(np.searchsorted(line.along_m, at, side="right") - 1, 0, len(line.along_m) - 2))
     gap = float(line.along_m[i + 1] - line.along_m[i])
     return WayCut(i, (at - float(line.along_m[i])) / gap if gap else 0.5, at)

@@ -31,8 +31,6 @@ from flexmap_tasks.transfer.cuts.lines import (
 from flexmap_tasks.transfer.cuts.wanted import Wanted
 from flexmap_tasks.transfer.facts import LaneletFacts
 
-VERTEX_M = 0.01
-"""A cut this near to a vertex is made at it, whatever `split_snap_m` says."""
 PIECE_MIN_M = 0.5
 """No piece of a bound is shorter."""
 
@@ -246,7 +244,12 @@ class _Planner:
         """The cuts of a way in its own direction."""
         line = self._line(way)
         own = sorted(s if sign > 0 else 1.0 - s for s in shares)
-        return [place(line, s, max(self.params.split_snap_m, VERTEX_M)) for s in own]
+        end_m = self._end_m(line)
+        return [place(line, s, self.params.split_snap_m, end_m) for s in own]
+
+    def _end_m(self, line: Line) -> float:
+        """No cut of a bound is nearer to its end; of a short bound less, or it could not be cut with the others."""
+        return min(self.params.split_end_distance_m, 0.25 * float(line.along_m[-1]))
 
     def _harm(self, group: _Group, shares: list[float]) -> str:
         """Why these cuts would do harm; "" when they do none."""
@@ -255,7 +258,7 @@ class _Planner:
             along = [c.along_m for c in places]
             total = float(self._line(way).along_m[-1])
             inner = min((b - a for a, b in pairwise(along)), default=total)
-            if min(along[0], total - along[-1]) < min(self.params.split_end_distance_m, 0.25 * total):
+            if min(along[0], total - along[-1]) < self._end_m(self._line(way)):
                 return "a bound of the carriageway would be cut too near to its end"
             if (
                 inner < max(PIECE_MIN_M, 0.5 * self.params.split_end_distance_m)
