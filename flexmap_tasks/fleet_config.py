@@ -21,9 +21,10 @@ class Recordings(Params):
     pattern: Annotated[str, StringConstraints(min_length=1, pattern=r"^[^/]")] = Field(
         "*.mcap", description="glob below it; `*/recording.mcap` and `**/*.mcap` work too"
     )
-    take: Literal["newest", "all"] = Field(
+    take: Literal["newest", "all", "fuse"] = Field(
         "newest",
-        description="newest: the map follows the last drive; all: each drive makes a map <name>.<recording>",
+        description="newest: the map follows the last drive; all: each drive makes a map <name>.<recording>; fuse: "
+        "each is fused with the config's own files, in whose SLAM frame its poses are localised (`drives`)",
     )
     order: Literal["time", "name"] = Field(
         "time", description="what newest means: last written, or last by name"
@@ -44,6 +45,8 @@ class Recordings(Params):
     def _one_place(self) -> Recordings:
         if (self.folder is None) == (self.bucket is None):
             raise ValueError("give either `folder` or `bucket`")
+        if self.take == "fuse" and set(self.inputs) != {"gnss.file", "slam.file"}:
+            raise ValueError("take: fuse is for recordings that hold both gnss.file and slam.file")
         return self
 
 

@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import json
 import time
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path, PurePosixPath
 from typing import Any
 
 from flexmap_tasks.config import FlexMapConfig
 from flexmap_tasks.errors import FlexMapError
 from flexmap_tasks.fleet_config import FleetConfig, FleetMap
-from flexmap_tasks.formats.config_file import load_config
+from flexmap_tasks.formats.config_file import change_config, load_config
 from flexmap_tasks.store.store import Store
 from flows.fleet_recordings import Recording, choose, find_recordings
 
@@ -66,7 +66,9 @@ def jobs_of(fleet: FleetConfig, entry: FleetMap, now_s: float) -> Iterator[Job]:
         yield Job(entry.name, entry, fault=str(error))
         return
     used = [choice.recording for choice in choose(entry.recordings, settled, now_s) if choice.used]
-    if not used:
+    if entry.recordings.take == "fuse":
+        yield _fused_job(fleet, entry, used, moving)
+    elif not used:
         yield Job(entry.name, entry, on_its_way=moving, left_out=len(settled))
     elif entry.recordings.take == "newest":
         yield _job(fleet, entry, entry.name, used[-1], moving)
@@ -87,6 +89,32 @@ def _job(fleet: FleetConfig, entry: FleetMap, name: str, recording: Recording | 
     except FlexMapError as error:
         return Job(name, entry, label, fault=str(error), on_its_way=moving)
     return Job(name, entry, label, config, on_its_way=moving)
+
+
+def _fused_job(fleet: FleetConfig, entry: FleetMap, used: Sequence[Recording], moving: int) -> Job:
+    """The config's own recording, and as `drives` of it all others that count; read with the config's topics."""
+    job = _job(fleet, entry, entry.name, None, moving)
+    if job.config is None:
+        return job
+    gnss, slam = (
+        part.model_dump(mode="json", exclude_unset=True) for part in (job.config.gnss, job.config.slam)
+    )
+    own = {gnss["file"], slam["file"]}
+    drives = [drive.model_dump(mode="json", exclude_unset=True) for drive in job.config.drives]
+    drives += [
+        {
+            "name": _label(file).strip("-") or "drive",
+            "gnss": {**gnss, "file": file.path},
+            "slam": {**slam, "file": file.path},
+        }
+        for file in used
+        if file.path not in own
+    ]
+    try:
+        config = change_config(job.config, overrides({"drives": drives}))
+    except FlexMapError as error:
+        return replace(job, config=None, fault=str(error))
+    return replace(job, config=config, recording=used[-1].file if used else "")
 
 
 def overrides(values: Mapping[str, Any]) -> list[str]:

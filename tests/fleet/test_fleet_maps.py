@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 import yaml
-from fleet_town import break_log, drive_again, write_fleet
+from fleet_town import break_log, drive_again, write_fleet, write_town
 from prometheus_client.openmetrics.parser import text_string_to_metric_families
 from pydantic import ValidationError
 
@@ -19,7 +19,7 @@ from flexmap_tasks.fleet_config import FleetConfig, Recordings
 from flexmap_tasks.pipeline import map_update
 from flows import fleet_commands
 from flows.fleet_index import Index, made_with
-from flows.fleet_jobs import find_jobs, load_fleet, open_store
+from flows.fleet_jobs import Job, find_jobs, load_fleet, open_store
 from flows.fleet_plan import Row, Todo, plan_fleet
 from flows.fleet_recordings import Recording, choose, find_recordings
 
@@ -138,6 +138,46 @@ def test_every_drive_can_be_a_map_of_its_own(tmp_path: Path) -> None:
     jobs = find_jobs(load_fleet(file))
     assert [job.map for job in jobs] == ["town00.night1", "town00.night2"]
     assert [job.config.gnss.file.name for job in jobs if job.config] == ["night1.mcap", "night2.mcap"]
+
+
+def test_drives_of_a_map_are_fused(tmp_path: Path) -> None:
+    write_town(
+        tmp_path,
+        1,
+        alignment={"method": "pose_graph"},
+        gnss={"file": "recordings/night1.mcap", "topic": "/fix"},
+    )
+    for night in ("2", "-3"):
+        (tmp_path / "recordings" / f"night{night}.mcap").touch()
+    entry = {
+        "name": "town",
+        "config": "map.yaml",
+        "recordings": {"folder": "recordings", "settle_s": 0, "order": "name"},
+    }
+    entry["recordings"]["take"] = "fuse"
+
+    def job() -> Job:
+        (tmp_path / "fleet.yaml").write_text(yaml.safe_dump({"maps": [entry]}))
+        (found,) = find_jobs(load_fleet(tmp_path / "fleet.yaml"), time.time() + 1)
+        return found
+
+    config = job().config
+    assert config is not None
+    assert config.gnss.file.name == "night1.mcap"
+    assert [(d.name, d.gnss.file.name, d.gnss.topic, d.slam.file.name) for d in config.drives] == [
+        ("night-3", "night-3.mcap", "/fix", "night-3.mcap"),
+        ("night2", "night2.mcap", "/fix", "night2.mcap"),
+    ]
+    assert "align_drive.night2" in map_update(config).nodes
+    entry["recordings"]["leave_out"] = ["*"]
+    alone = job().config
+    assert alone is not None
+    assert alone.drives == ()
+    entry |= {"parameters": {"alignment.method": "rigid"}}
+    entry["recordings"]["leave_out"] = []
+    assert "drives are fused by alignment.method pose_graph" in job().fault
+    with pytest.raises(ValidationError, match="take: fuse is for recordings that hold both"):
+        Recordings(folder=tmp_path, take="fuse", inputs=("gnss.file",))
 
 
 def test_recordings_wait_until_they_are_complete(tmp_path: Path) -> None:
