@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +12,7 @@ from transfer_worlds import Draft, along_x, edited, matches_of, read, road, road
 from flexmap_tasks.config import TransferParams, TransferRule
 from flexmap_tasks.formats.osm_xml import parse_osm_xml
 from flexmap_tasks.model.lanelets import lanelets_of
+from flexmap_tasks.model.maps import LaneletMap
 from flexmap_tasks.transfer.lane_check import expected_lanes
 from flexmap_tasks.transfer.side_check import side_lanes
 from flexmap_tasks.transfer.write import ATTRIBUTION, attributed
@@ -237,3 +239,40 @@ def test_with_every_option_a_second_time_changes_nothing(tmp_path: Path) -> None
         sorted((r["lanelet_id"], r["key"], r["new"]) for r in rows(e, action="review")) for e in (once, twice)
     ]
     assert reviews[0] == reviews[1] != []
+
+
+def edges(lanelet_map: LaneletMap, path: Path, source: dict[int, int]) -> Counter[tuple[str, int, int]]:
+    """Every edge of Lanelet2's own routing graph, between the lanelets that were there before cutting."""
+    lanelet2 = pytest.importorskip("lanelet2")
+    projector = lanelet2.projection.UtmProjector(lanelet2.io.Origin(48.1, 11.5))
+    loaded, errors = lanelet2.io.loadRobust(str(save(lanelet_map, path)), projector)
+    assert not list(errors)
+    rules = lanelet2.traffic_rules.create(
+        lanelet2.traffic_rules.Locations.Germany, lanelet2.traffic_rules.Participants.Vehicle
+    )
+    graph = lanelet2.routing.RoutingGraph(loaded, rules)
+    assert not list(graph.checkValidity(False))
+    ways = {"follow": graph.following, "left": graph.lefts, "right": graph.rights}
+    return Counter(
+        (name, source.get(x.id, x.id), source.get(y.id, y.id))
+        for name, reached in ways.items()
+        for x in loaded.laneletLayer
+        for y in reached(x)
+    )
+
+
+def test_lanelet2_routes_over_the_edges_of_before_and_one_more_per_cut(tmp_path: Path) -> None:
+    draft = Draft()
+    drawn = road(draft, [100.0, 60.0], 2, 2)
+    for section in drawn.bounds:
+        for way in (section[1], section[3]):
+            draft.ways[way][1]["subtype"] = "dashed"
+    before = draft.read(tmp_path)
+    after = run(before, along_x(before, [43.0]), roads_of([{"maxspeed": "50"}, {"maxspeed": "30"}]))
+    source = {r["lanelet_id"]: r["source_lanelet_id"] for r in rows(after, action="split")}
+    assert len(source) == 4
+    was, now = edges(before, tmp_path / "a.osm", {}), edges(after.map, tmp_path / "b.osm", source)
+    cut = [*drawn.forward[0], *drawn.backward[0]]
+    changes = Counter({k: 1 for k in was if k[0] != "follow" and k[1] in cut})
+    assert sum(changes.values()) == 4
+    assert now == was + Counter(("follow", k, k) for k in cut) + changes
