@@ -61,15 +61,22 @@ def fuse_drives(graph: PoseGraph, drives: Mapping[str, AlignedDrive]) -> Fusion:
     kept: dict[str, PoseGraph] = {"": graph}
     rows: dict[str, dict[str, object]] = {"": {}}
     waiting = {name: drive.graph for name, drive in sorted(drives.items()) if drive.graph is not None}
+    heard = {name: [_said(graph, g.nodes.source_xyz_m)] for name, g in waiting.items()}
     while waiting:
-        seen = {name: _overlap(g.nodes, list(kept.values())) for name, g in waiting.items()}
-        name = max(seen, key=lambda n: int((seen[n].near > 0).sum()))
+        name = max(waiting, key=lambda n: _common(heard[n]))
         candidate = waiting.pop(name)
-        rows[name] = _judged(candidate, seen[name], graph)
+        rows[name] = _judged(candidate, _joined(heard[name]), graph)
         if not rows[name]["reason"]:
             kept[name] = candidate
+            for other, g in waiting.items():
+                heard[other].append(_said(candidate, g.nodes.source_xyz_m))
     fused, weight = _fused(kept, graph)
     return Fusion(fused, _table(graph, drives, kept, rows, weight))
+
+
+def _common(heard: Sequence[Said]) -> int:
+    """How many places of a drive the others say something about."""
+    return int((np.stack([said.near for said in heard]) > 0).any(axis=0).sum())
 
 
 def _corrections(graph: PoseGraph) -> tuple[Floats, Floats]:
@@ -173,11 +180,6 @@ def _joined_values(
     off = np.stack(values) - start
     off = np.where(weight > 0, wrapped(off) if angles else off, 0.0)
     return start + _mean(off.T, weight.T), _variance(weight, near)
-
-
-def _overlap(nodes: GraphNodes, kept: list[PoseGraph]) -> Said:
-    """What the drives that count so far say at the nodes of another."""
-    return _joined([_said(g, nodes.source_xyz_m) for g in kept])
 
 
 def _judged(candidate: PoseGraph, said: Said, graph: PoseGraph) -> dict[str, object]:
