@@ -7,6 +7,7 @@ import numpy as np
 from flexmap_tasks.alignment.drive import Drive, drive_of
 from flexmap_tasks.alignment.height import lifted
 from flexmap_tasks.alignment.observations import ACROSS, ALONG, GNSS, YAW
+from flexmap_tasks.alignment.plausible import refuse_other_drive, refuse_steep, refuse_still, refuse_unsure
 from flexmap_tasks.alignment.revisits import passes
 from flexmap_tasks.alignment.solve import Solved, solve
 from flexmap_tasks.config import PoseGraphParams
@@ -54,10 +55,13 @@ def pose_graph(
     solved = solve(
         drive, gnss, first_stamp(slam), float(np.log(projection.grid_scale_factor)), control, params
     )
+    refuse_other_drive(drive, solved)
     lift, sigma_up = _heights(slam, gnss, drive, solved, params.antenna_up_m)
+    nodes = _nodes(drive, solved, lift, sigma_up)
+    refuse_unsure(nodes.sigma_m[:, :2])
     return PoseGraph(
         _motion(solved),
-        _nodes(drive, solved, lift, sigma_up),
+        nodes,
         _figures(drive, solved, params.revisit_radius_m),
         _use(gnss, solved),
     )
@@ -111,7 +115,9 @@ def first_stamp(slam: Trajectory) -> int:
 
 
 def checked_drive(slam: Trajectory, params: PoseGraphParams) -> Drive:
-    """The drive, refused when it stands still."""
+    """The drive, refused when it stands still or its height is not in z."""
+    refuse_steep(slam.xyz_m)
+    refuse_still(slam.xyz_m[:, :2], "SLAM trajectory")
     if len(slam) >= MIN_POSES:
         drive = drive_of(slam, params.node_spacing_m)
         if len(drive.node) >= MIN_POSES:

@@ -130,6 +130,13 @@ BAD: dict[str, tuple[Callable[[Path], list[str]], str]] = {
         ),
         "SLAM",
     ),
+    "camera axes": (
+        write_text(
+            "poses.txt", "".join(f"{i} 0 0 {i} 0 0 0 1\n" for i in range(100)), "slam.file={folder}/poses.txt",
+            "alignment.method=pose_graph", "alignment.control_points_file=null",
+        ),
+        "z must point up",
+    ),
     "no control points": (points(), "control"),
     "two control points": (points("10,100,a", "200,1000,b"), "at least 3"),
     "doubled control points": (points("10,100,a", "10,400,b", "300,1500,c", "400,2000,d"), "same source"),
