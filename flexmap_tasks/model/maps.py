@@ -8,6 +8,11 @@ from typing import ClassVar
 from flexmap_tasks.model.arrays import Bools, Floats, Ints, Strings, require
 from flexmap_tasks.model.osm import OsmDocument, Tags
 
+OSM_ATTRIBUTION = (
+    "Road data © OpenStreetMap contributors, Open Database License, https://www.openstreetmap.org/copyright"
+)
+"""What the licence of OpenStreetMap's data (ODbL) wants to be read wherever they are passed on."""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Findings:

@@ -18,7 +18,7 @@ from flexmap_tasks.formats.qgis import Look, qgis_project
 from flexmap_tasks.formats.track_text_write import kitti_text, tum_text
 from flexmap_tasks.model.conflation import Matches
 from flexmap_tasks.model.layers import VectorLayer
-from flexmap_tasks.model.maps import Findings, LaneletMap
+from flexmap_tasks.model.maps import OSM_ATTRIBUTION, Findings, LaneletMap
 from flexmap_tasks.model.projection import Projection
 from flexmap_tasks.model.shown import Shown
 from flexmap_tasks.model.tracks import Trajectory
@@ -75,7 +75,7 @@ LOOKS = {
 @stage("layers")
 def export_layers(shown: Shown, aligned: Trajectory, params: ReportParams) -> dict[str, bytes]:
     """Files by name: flexmap.gpkg and flexmap.qgs, a GeoJSON and a GeoParquet per layer, flexmap.kml, flexmap.mcap,
-    the aligned trajectory for evo, review.osm for JOSM, issues.json.
+    the aligned trajectory for evo, review.osm for JOSM, issues.json; ATTRIBUTION.txt where roads were used.
 
     aligned : the poses in the map frame
     """
@@ -99,6 +99,8 @@ def export_layers(shown: Shown, aligned: Trajectory, params: ReportParams) -> di
         "flexmap-cloud": (shown.cloud_findings, ()),
     }
     files["issues.json"] = issues_json({k: (f, codes) for k, (f, codes) in told.items() if f is not None})
+    if shown.roads is not None:
+        files["ATTRIBUTION.txt"] = f"{OSM_ATTRIBUTION}\n".encode()
     return files
 
 

@@ -9,13 +9,9 @@ import numpy as np
 from flexmap_tasks.config import TransferParams
 from flexmap_tasks.model.arrays import Ints, Strings, strings
 from flexmap_tasks.model.conflation import LaneCheck, Transfers
-from flexmap_tasks.model.maps import LaneletMap
+from flexmap_tasks.model.maps import OSM_ATTRIBUTION, LaneletMap
 from flexmap_tasks.model.osm import OsmDocument, OsmRelations, Tags, rows_of
 from flexmap_tasks.transfer.cuts.cut import RULE, NewIds, Pieces, joined_tags, ranges
-
-ATTRIBUTION = (
-    "Road data © OpenStreetMap contributors, Open Database License, https://www.openstreetmap.org/copyright"
-)
 
 
 def written(
@@ -33,9 +29,9 @@ def written(
 def attributed(document: OsmDocument) -> OsmDocument:
     """The document with what the licence of OpenStreetMap's data (ODbL) wants to be read, on the root of its XML."""
     own = document.root.get("attribution", "")
-    if ATTRIBUTION in own:
+    if OSM_ATTRIBUTION in own:
         return document
-    text = f"{own}; {ATTRIBUTION}" if own else ATTRIBUTION
+    text = f"{own}; {OSM_ATTRIBUTION}" if own else OSM_ATTRIBUTION
     return replace(document, root={**document.root, "attribution": text})
 
 

@@ -204,6 +204,13 @@ def test_a_drive_without_maps_still_gives_its_tracks(inputs: dict[str, Any]) -> 
     files = made(export_layers, inputs | dict.fromkeys(names))
     assert {"flexmap.gpkg", "flexmap.qgs", "flexmap.mcap", "tracks.geojson", "tracks.parquet"} <= set(files)
     assert "review.osm" not in files
+    assert "ATTRIBUTION.txt" not in files
+
+
+def test_layers_with_roads_name_openstreetmap_and_its_licence(files: dict[str, bytes]) -> None:
+    text = files["ATTRIBUTION.txt"].decode()
+    assert "© OpenStreetMap contributors" in text
+    assert "Open Database License" in text
 
 
 def test_a_layer_without_features_is_a_file_without_rows() -> None:

@@ -12,10 +12,10 @@ from transfer_worlds import Draft, along_x, edited, matches_of, read, road, road
 from flexmap_tasks.config import TransferParams, TransferRule
 from flexmap_tasks.formats.osm_xml import parse_osm_xml
 from flexmap_tasks.model.lanelets import lanelets_of
-from flexmap_tasks.model.maps import LaneletMap
+from flexmap_tasks.model.maps import OSM_ATTRIBUTION, LaneletMap
 from flexmap_tasks.transfer.lane_check import expected_lanes
 from flexmap_tasks.transfer.side_check import side_lanes
-from flexmap_tasks.transfer.write import ATTRIBUTION, attributed
+from flexmap_tasks.transfer.write import attributed
 
 
 @pytest.mark.parametrize(
@@ -161,12 +161,12 @@ def test_a_map_with_values_of_openstreetmap_says_so(tmp_path: Path) -> None:
     roads = roads_of([{"maxspeed": "50"}])
     once = run(before, along_x(before, []), roads).map
     again = read(save(once, tmp_path / "once.osm"))
-    assert again.document.root["attribution"] == ATTRIBUTION
+    assert again.document.root["attribution"] == OSM_ATTRIBUTION
     twice = run(again, along_x(again, []), roads_of([{"maxspeed": "30"}])).map
-    assert twice.document.root["attribution"] == ATTRIBUTION
+    assert twice.document.root["attribution"] == OSM_ATTRIBUTION
     assert "attribution" not in run(before, along_x(before, []), roads_of([{}])).map.document.root
     own = parse_osm_xml(b'<osm version="0.6" attribution="Town survey"></osm>', "map.osm")
-    assert attributed(own).root["attribution"] == f"Town survey; {ATTRIBUTION}"
+    assert attributed(own).root["attribution"] == f"Town survey; {OSM_ATTRIBUTION}"
 
 
 @pytest.mark.parametrize("step_m", [0.7, 1.0, 2.6, 100.0])
