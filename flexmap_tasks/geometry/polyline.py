@@ -65,3 +65,21 @@ def nearest_on_polyline(points: Floats, line: Floats, usable: Bools | None = Non
     share = np.clip(np.divide(along, square, out=np.zeros_like(along), where=square > 0), 0.0, 1.0)
     gap = points - start - share[:, None] * edge
     return Nearest(np.hypot(gap[:, 0], gap[:, 1]), nearest, share)
+
+
+TIE_M = 1e-6
+"""A place as near to an observed step as to an unobserved one counts as seen."""
+
+
+def distance_and_seen(points: Floats, line: Floats, observed: Bools) -> tuple[Floats, Bools]:
+    """Distance to a line, and whether the place is valid: what "a pose with valid GNSS" means everywhere.
+
+    A place is valid when no unobserved step of the line (the straight chord across a gap) is nearer to it, by more
+    than `TIE_M`, than the nearest observed one. A place beside the fix at the edge of a gap is as near to both steps
+    that meet there: it is valid. None is valid where the line has no step, or none that was observed.
+    points : (n, 2); line : (m, 2); observed : (m - 1,) steps of the line
+    """
+    distance = nearest_on_polyline(points, line).distance_m
+    if observed.all():
+        return distance, np.isfinite(distance)
+    return distance, nearest_on_polyline(points, line, observed).distance_m <= distance + TIE_M

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from flexmap_tasks.geometry.polyline import arc_length_m, nearest_on_polyline
+from flexmap_tasks.geometry.polyline import arc_length_m, distance_and_seen, nearest_on_polyline
 from flexmap_tasks.geometry.sheet import affine_maps
 from flexmap_tasks.model.alignment import ControlPoints, RigidMotion, Warp
 from flexmap_tasks.model.arrays import Bools, Floats, Ints, strings
@@ -15,7 +15,6 @@ from flexmap_tasks.report.embed import Json, Texts, millimetres, numbers
 MOST_ROWS = 40_000
 """A longer track is drawn by every second, third, ... row, so that the page stays small."""
 
-TIE_M = 1e-6
 MOST_TIES = 3_000
 
 
@@ -156,12 +155,8 @@ def _kept_breaks(observed: Bools, rows: Ints) -> Bools:
 
 
 def deviation(poses_m: Floats, gnss: GnssTrack) -> tuple[Floats, Bools]:
-    """Distance to the line through all fixes, and whether the nearest step of the line was observed."""
-    line, observed = gnss.xyz_m[:, :2], gnss.observed[1:]
-    distance = nearest_on_polyline(poses_m, line).distance_m
-    if observed.all():
-        return distance, np.isfinite(distance)
-    return distance, nearest_on_polyline(poses_m, line, observed).distance_m <= distance + TIE_M
+    """Distance to the line through all fixes, and which poses have valid GNSS: see `distance_and_seen`."""
+    return distance_and_seen(poses_m, gnss.xyz_m[:, :2], gnss.observed[1:])
 
 
 def _known(values: Floats) -> Floats:

@@ -91,6 +91,22 @@ def test_a_pose_beside_an_outage_is_not_valid() -> None:
     assert found.distance_m.tolist() == pytest.approx([1, 1, 0, 2])
 
 
+@pytest.mark.parametrize(
+    ("observed", "valid"),
+    [
+        ([True, True, True, False], [True, True, True]),
+        ([True, True, False, False], [True, True, False]),
+        ([True, False, False, False], [False, False, False]),
+    ],
+)
+def test_validity_at_an_outage_does_not_hang_on_rounding(observed: list[bool], valid: list[bool]) -> None:
+    """Outside of a corner, a place is as near to the step before as to the one behind: either makes it valid."""
+    line = np.array([[0.0, 0], [10, 0], [10, 10], [10, 20]])
+    turned = np.array([[np.cos(0.3), -np.sin(0.3)], [np.sin(0.3), np.cos(0.3)]])
+    places = np.array([[9.0, 1e-9], [10.3, -0.4], [12.0, 5.0]])
+    assert deviation(places @ turned.T, gnss(line @ turned.T, observed)).valid.tolist() == valid
+
+
 def table(**more: object) -> Quality:
     inputs: dict[str, object] = dict.fromkeys(
         ("control_points", "references", "transfers", "lane_check", "map_findings", "transfer_findings")
