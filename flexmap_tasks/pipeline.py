@@ -27,6 +27,7 @@ from flexmap_tasks.config import (
 )
 from flexmap_tasks.engine.graph import Graph, Ref, SourceRef
 from flexmap_tasks.evaluation.quality import evaluate
+from flexmap_tasks.evaluation.sigma_findings import sigma_findings
 from flexmap_tasks.georeferencing.bundle import georeference
 from flexmap_tasks.georeferencing.map import georeference_map
 from flexmap_tasks.ingest.gnss import ingest_gnss
@@ -205,7 +206,11 @@ def _adjust(
             projection=drive.projection,
         )
         graph.publish("held_out.parquet", withheld)
-    return Adjusted(adjusted, antenna, withheld)
+    noticed = None
+    if evaluation.sigma_max_m is not None:
+        noticed = graph.run(sigma_findings, evaluation, graph_nodes=adjusted.field("nodes"))
+        graph.publish("drive_findings.parquet", noticed)
+    return Adjusted(adjusted, antenna, withheld, noticed)
 
 
 def _check_bundle(graph: Graph, bundle: Ref, cloud: Cloud | None) -> Ref:
@@ -239,6 +244,7 @@ def _evaluate(
         graph_nodes=adjusted.graph.field("nodes") if adjusted else None,
         gnss_use=adjusted.graph.field("gnss_use") if adjusted else None,
         held_out=adjusted.held_out if adjusted else None,
+        drive_findings=adjusted.findings if adjusted else None,
         control_points=aligned.control_points,
         **maps,
         references=conflated.references if conflated else None,
@@ -269,6 +275,7 @@ def _report(graph: Graph, config: FlexMapConfig, drawn: Drawn) -> None:
         "transfers": enriched.field("transfers") if enriched else None,
         "lane_check": enriched.field("lane_check") if enriched else None,
         "changes": conflated.changes if conflated else None,
+        "drive_findings": aligned.adjusted.findings if aligned.adjusted else None,
         "map_findings": lanelets.field("findings") if lanelets else None,
         "transfer_findings": enriched.field("findings") if enriched else None,
         "bundle_findings": drawn.bundle_findings,

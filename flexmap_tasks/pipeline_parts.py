@@ -27,11 +27,12 @@ class Drive:
 
 @dataclass(frozen=True, slots=True)
 class Adjusted:
-    """The pose graph, its antenna track, and its errors on withheld GNSS."""
+    """The pose graph, its antenna track, its errors on withheld GNSS, and where it is worse than it may be."""
 
     graph: Ref
     antenna: Ref
     held_out: Ref | None
+    findings: Ref | None
 
 
 @dataclass(frozen=True, slots=True)

@@ -7,6 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from flexmap_tasks.config import EvaluationParams
+from flexmap_tasks.evaluation.sigma_findings import axis_sigma_m
 from flexmap_tasks.evaluation.summary import measures_of
 from flexmap_tasks.model.pose_graph import GnssUse, GraphFigures, GraphNodes, HeldOut
 from flexmap_tasks.model.quality import Measure
@@ -29,8 +30,7 @@ def graph_measures(
     yield Measure("revisit_disagreement_p90", passes, "m")
     yield Measure("gnss_used", float(np.count_nonzero(use.used)), "count")
     yield Measure("gnss_left_out", float(np.count_nonzero(~use.used)), "count")
-    sigma = np.sqrt((nodes.sigma_m[:, :2] ** 2).mean(axis=1))
-    for measure in measures_of("predicted_sigma", sigma):
+    for measure in measures_of("predicted_sigma", axis_sigma_m(nodes)):
         limit = params.sigma_max_m if measure.name == "predicted_sigma_max" else None
         yield Measure.at_most(measure.name, measure.value, measure.unit, limit)
     if held_out is None:

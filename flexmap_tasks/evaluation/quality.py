@@ -43,6 +43,7 @@ def evaluate(
     transfer_findings: Findings | None,
     params: EvaluationParams,
     antenna: Trajectory | None = None,
+    drive_findings: Findings | None = None,
     graph_figures: GraphFigures | None = None,
     graph_nodes: GraphNodes | None = None,
     gnss_use: GnssUse | None = None,
@@ -71,7 +72,7 @@ def evaluate(
         measures += _attributes(transfers)
     if lane_check is not None:
         measures += _lanes(lane_check)
-    findings = [f for f in (map_findings, transfer_findings) if f is not None]
+    findings = [f for f in (drive_findings, map_findings, transfer_findings) if f is not None]
     if findings:
         severity = np.concatenate([f.severity for f in findings])
         measures += [_count(f"findings_{s}", severity == s) for s in SEVERITIES]

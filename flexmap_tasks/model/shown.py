@@ -37,6 +37,7 @@ class Shown:
     transfers: Transfers | None
     lane_check: LaneCheck | None
     changes: RoadChanges | None
+    drive_findings: Findings | None
     map_findings: Findings | None
     transfer_findings: Findings | None
     bundle_findings: Findings | None

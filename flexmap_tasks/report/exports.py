@@ -93,6 +93,7 @@ def export_layers(shown: Shown, aligned: Trajectory, params: ReportParams) -> di
     if lanelets is not None:
         files["review.osm"] = josm_layer(items, lanelets, projection)
     told = {
+        "flexmap-drive": (shown.drive_findings, ()),
         "flexmap-map": (shown.map_findings, ()),
         "flexmap-conflation": (shown.transfer_findings, ()),
         "flexmap-bundle": (shown.bundle_findings, CODES),

@@ -58,8 +58,8 @@ def report_data(shown: Shown, judged: Judged, params: ReportParams) -> Json:
     """All that the page is told."""
     texts = Texts()
     final = final_map_of(shown)
-    told = (shown.map_findings, shown.transfer_findings, shown.bundle_findings, shown.cloud_findings)
-    found = [f for f in told if f is not None]
+    told = ("drive", "map", "transfer", "bundle", "cloud")
+    found = [f for name in told if (f := getattr(shown, f"{name}_findings")) is not None]
     changes = judged.decided.changes if judged.decided else None
     items = review_items(shown.matches, shown.transfers, shown.lane_check, shown.changes, changes)
     near = np.concatenate([shown.gnss.xyz_m[:, :2], *([final.xyz_m[:, :2]] if final is not None else [])])
