@@ -23,7 +23,7 @@ from flexmap_tasks.report.report import report
 from flexmap_tasks.store.store import Store
 from tests import drives
 
-LENGTH_M, SEED = 700.0, 2
+LENGTH_M, SEED = 700.0, 6
 
 
 @pytest.fixture(scope="module")
