@@ -32,7 +32,7 @@ class PathParams(Params):
     sigma_start_m: Positive = Field(3.0, description="scatter of roads before it is estimated")
     angle_sigma_deg: Positive = 12.0
     absent_cost: NonNegative = Field(
-        4.0, description="misfit of a sample at which no counterpart is as likely"
+        3.75, description="misfit of a sample at which no counterpart is as likely"
     )
     absent_cost_start: NonNegative = Field(
         5.0, description="the same while it is still being estimated by how much roads are displaced"
