@@ -31,7 +31,7 @@ def judge_points(
     if nodes is not None:
         without = _adjusted_without(points, place[:, :2], gap, nodes)
     elif warp.sheet is not None:
-        without = _sheet_without(points, warp.sheet)
+        without = sheet_left_out_m(points, warp.sheet)
     else:
         without = np.hypot(*gap.T)
     without[~points.used] = np.hypot(*gap.T)[~points.used]  # nothing had to be left out
@@ -61,7 +61,7 @@ def _adjusted_without(points: ControlPoints, place_xy_m: Floats, gap: Floats, no
     return out
 
 
-def _sheet_without(points: ControlPoints, sheet: RubberSheet) -> Floats:
+def sheet_left_out_m(points: ControlPoints, sheet: RubberSheet) -> Floats:
     """How far a sheet of the others puts each point from its target; NaN when there are no others.
 
     Only the triangles around a point change when it goes, so the sheet of its neighbours says it all.

@@ -91,16 +91,6 @@ def _known(values: Floats | None, count: int) -> list[float | None]:
     return [float(v) if np.isfinite(v) else None for v in values]
 
 
-def left_out_error_m(source_xy_m: Floats, target_xy_m: Floats, others: Warp) -> float:
-    """How far a sheet made without a control point puts it from its target.
-
-    source_xy_m, target_xy_m : (2,) float64 in the map frame, the source after the rigid start
-    """
-    still = RigidMotion(np.eye(2), np.zeros(2), 1.0, 1.0, 0.0)
-    (moved,) = Warp(still, others.sheet).apply(np.array([[*source_xy_m, 0.0]]))
-    return float(np.hypot(*(moved[:2] - target_xy_m)))
-
-
 def _rms(values: Floats) -> float | None:
     known = values[np.isfinite(values)]
     return float(np.sqrt((known**2).mean())) if len(known) else None

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from flexmap_tasks.alignment.control_points import control_points
+from flexmap_tasks.alignment.judge_points import sheet_left_out_m
 from flexmap_tasks.alignment.rubber_sheet import rubber_sheet
 from flexmap_tasks.alignment.tried_points import SolvedDrive, solved_drive, tried
 from flexmap_tasks.config import FlexMapConfig, PairParams
@@ -16,10 +17,9 @@ from flexmap_tasks.errors import FlexMapError
 from flexmap_tasks.evaluation.harm_geometry import shape_change
 from flexmap_tasks.evaluation.quality import MUCH_WIDER_M
 from flexmap_tasks.model.alignment import ControlPoints, Warp
-from flexmap_tasks.model.arrays import Floats
 from flexmap_tasks.model.source import Source
 from flexmap_tasks.pipeline import map_update
-from flexmap_tasks.report.editing import Effect, control_point_page, left_out_error_m, preview
+from flexmap_tasks.report.editing import Effect, control_point_page, preview
 from flexmap_tasks.report.maps import moved
 from flexmap_tasks.store.store import Store
 from flows.editor.pairs import control_points_of, csv_of, own_points
@@ -32,8 +32,6 @@ NEEDED = (
 """Stages whose values the editor works with, as far as the run has them."""
 
 FEWEST = 3
-MOST_LEFT_OUT = 60
-"""With more pairs in use, leaving each out in turn would take longer than a person waits."""
 
 
 class EditSession:
@@ -89,7 +87,10 @@ class EditSession:
         if self._base is not None:
             found = tried(self._base.result(), points, self._motion)
             return Effect(found.warp, found.antenna_m, found.residual_m, found.left_out_m)
-        return Effect(self._warp(points), left_out_m=self._left_out(points))
+        warp = self._warp(points)
+        if warp.sheet is None or int(points.used.sum()) <= FEWEST:
+            return Effect(warp)
+        return Effect(warp, left_out_m=sheet_left_out_m(points, warp.sheet))
 
     def _lanes(self, warp: Warp) -> dict[str, Any] | None:
         """How wide the lanes become, over nine cross sections of each; those that change by more than 10 cm."""
@@ -138,16 +139,3 @@ class EditSession:
             return Warp(self._motion, None)
         sheet = self._config.alignment.rubber_sheet
         return rubber_sheet(points, self._motion, self._slam, self._map, self._extent, params=sheet)
-
-    def _left_out(self, points: ControlPoints) -> Floats:
-        """How far each pair lies from where a sheet of all others would put it."""
-        used, out = np.flatnonzero(points.used), np.full(len(points), np.nan)
-        if not FEWEST < len(used) <= MOST_LEFT_OUT:
-            return out
-        for row in used.tolist():
-            try:
-                others = self._warp(points.take(np.setdiff1d(used, row)))
-            except FlexMapError:
-                continue
-            out[row] = left_out_error_m(points.source_xy_m[row], points.target_xy_m[row], others)
-        return out
