@@ -23,11 +23,17 @@ def preimage(stage: AnyStage, params: Params | None, inputs: Mapping[str, str]) 
     return {
         "stage": stage.name,
         "artifact": stage.artifact,
-        "code": code_modules(stage.function.__module__, *CODECS),
+        "code": _code_of(stage.function.__module__),
         "params": params_json(params),
         "inputs": dict(inputs),
         "libraries": library_versions(),
     }
+
+
+@functools.cache
+def _code_of(module: str) -> dict[str, str]:
+    """The code a stage's module can reach, walked once per process: stages that run per item ask for every item."""
+    return code_modules(module, *CODECS)
 
 
 def action_key(image: Mapping[str, Any]) -> str:

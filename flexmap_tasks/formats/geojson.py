@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import json
 from itertools import pairwise
-from typing import Any
 
 import numpy as np
 import shapely
 
-from flexmap_tasks.formats.clean_text import clean
+from flexmap_tasks.formats.json_text import json_texts
 from flexmap_tasks.model.layers import VectorLayer
 
 DECIMALS = 8
@@ -18,39 +17,25 @@ DECIMALS = 8
 
 def geojson(layer: VectorLayer) -> bytes:
     """One feature per line, so that two versions can be compared by eye."""
-    columns = {name: column.tolist() for name, column in layer.columns.items()}
-    rows = [
-        json.dumps(
-            {
-                "type": "Feature",
-                "geometry": shape,
-                "properties": {k: _plain(v[i]) for k, v in columns.items()},
-            },
-            ensure_ascii=False,
-            separators=(",", ":"),
-            allow_nan=False,
-        )
-        for i, shape in enumerate(_shapes(layer))
-    ]
-    name = json.dumps(layer.name)
-    body = ",\n".join(rows)
+    named = [json.dumps(name).replace("%", "%%") + ":%s" for name in layer.columns]
+    feature = (
+        f'{{"type":"Feature","geometry":{{"type":"{layer.kind}","coordinates":%s}},'
+        f'"properties":{{{",".join(named)}}}}}'
+    )
+    properties = (json_texts(column, missing=True) for column in layer.columns.values())
+    rows = [feature % row for row in zip(_coordinates(layer), *properties, strict=True)]
+    name, body = json.dumps(layer.name), ",\n".join(rows)
     return f'{{"type":"FeatureCollection","name":{name},"features":[\n{body}\n]}}\n'.encode()
 
 
-def _shapes(layer: VectorLayer) -> list[dict[str, Any]]:
+def _coordinates(layer: VectorLayer) -> list[str]:
+    """The coordinates of every feature as JSON."""
     geometry = shapely.orient_polygons(layer.geometry) if layer.kind == "Polygon" else layer.geometry
     flat, row = shapely.get_coordinates(geometry, return_index=True)
-    places = np.round(flat, DECIMALS).tolist()
+    flat = np.round(flat, DECIMALS)
+    places = [f"[{x},{y}]" for x, y in zip(json_texts(flat[:, 0]), json_texts(flat[:, 1]), strict=True)]
+    if layer.kind == "Point":
+        return places
     starts = np.searchsorted(row, np.arange(len(layer) + 1)).tolist()
-    lines = [places[a:b] for a, b in pairwise(starts)]
-    return [{"type": layer.kind, "coordinates": _nested(layer.kind, line)} for line in lines]
-
-
-def _nested(kind: str, line: list[list[float]]) -> Any:
-    return line[0] if kind == "Point" else [line] if kind == "Polygon" else line
-
-
-def _plain(value: Any) -> Any:
-    if isinstance(value, float):
-        return None if np.isnan(value) else value
-    return clean(value) if isinstance(value, str) else value
+    lines = [f"[{','.join(places[a:b])}]" for a, b in pairwise(starts)]
+    return [f"[{line}]" for line in lines] if layer.kind == "Polygon" else lines

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sqlite3
 import struct
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -92,15 +92,15 @@ def _write(db: sqlite3.Connection, layer: VectorLayer) -> None:
     db.executemany(f'INSERT INTO "{layer.name}" (geom{names}) VALUES ({slots})', rows)  # noqa: S608 - our own names
 
 
-def _blobs(layer: VectorLayer) -> Iterator[bytes]:
+def _blobs(layer: VectorLayer) -> list[bytes]:
     """The header of the standard, then WKB; points go without a box of their own."""
-    flags = _HEADER_NO_BOX if layer.kind == "Point" else _HEADER_BOX
-    head = b"GP\x00" + bytes([flags]) + struct.pack("<i", WGS84)
-    bounds = shapely.bounds(layer.geometry)[:, [0, 2, 1, 3]].astype("<f8")
-    for wkb, box in zip(
-        shapely.to_wkb(layer.geometry, byte_order=1, output_dimension=2), bounds, strict=True
-    ):
-        yield head + (b"" if layer.kind == "Point" else box.tobytes()) + wkb
+    point = layer.kind == "Point"
+    head = b"GP\x00" + bytes([_HEADER_NO_BOX if point else _HEADER_BOX]) + struct.pack("<i", WGS84)
+    wkbs = shapely.to_wkb(layer.geometry, byte_order=1, output_dimension=2).tolist()
+    if point:
+        return [head + wkb for wkb in wkbs]
+    boxes = shapely.bounds(layer.geometry)[:, [0, 2, 1, 3]].astype("<f8")
+    return [head + box.tobytes() + wkb for box, wkb in zip(boxes, wkbs, strict=True)]
 
 
 def _kind(column: NDArray[Any]) -> str:
@@ -108,9 +108,10 @@ def _kind(column: NDArray[Any]) -> str:
 
 
 def _values(column: NDArray[Any]) -> list[Any]:
-    values = column.tolist()
-    if column.dtype.kind == "f":
-        return [None if np.isnan(v) else v for v in values]
     if column.dtype.kind == "O":
-        return [None if v is None else clean(v) for v in values]
-    return [int(v) for v in values]
+        return [None if v is None else clean(v) for v in column.tolist()]
+    values: list[Any] = (column if column.dtype.kind == "f" else column.astype(np.int64)).tolist()
+    if column.dtype.kind == "f":
+        for i in np.flatnonzero(np.isnan(column)).tolist():
+            values[i] = None
+    return values

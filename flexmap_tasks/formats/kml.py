@@ -48,8 +48,9 @@ def _placemark(folder: Any, layer: VectorLayer, i: int, name: str) -> None:
     holder = etree.SubElement(mark, layer.kind)
     if layer.kind == "Polygon":
         holder = etree.SubElement(etree.SubElement(holder, "outerBoundaryIs"), "LinearRing")
-    places = shapely.get_coordinates(layer.geometry[i]).tolist()
-    _text(holder, "coordinates", " ".join(f"{lon:.8f},{lat:.8f}" for lon, lat in places))
+    places = shapely.get_coordinates(layer.geometry[i])
+    template = " ".join(["%.8f,%.8f"] * len(places))
+    _text(holder, "coordinates", template % tuple(places.ravel().tolist()))
 
 
 def _text(parent: Any, name: str, text: str) -> None:

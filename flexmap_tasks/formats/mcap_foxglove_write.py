@@ -10,11 +10,12 @@ from typing import Any
 import numpy as np
 from mcap.writer import CompressionType, Writer
 
+from flexmap_tasks.formats.json_text import json_texts
 from flexmap_tasks.model.arrays import Floats, Ints
 
 NS_PER_S = 1_000_000_000
-Message = tuple[int, dict[str, Any]]
-"""(log time in ns, message)."""
+Message = tuple[int, str]
+"""(log time in ns, message as JSON)."""
 
 _NUMBER, _TEXT = {"type": "number"}, {"type": "string"}
 _TIME = {
@@ -71,8 +72,7 @@ def foxglove_mcap(topics: Mapping[str, tuple[str, Iterable[Message]]]) -> bytes:
         number = writer.register_schema(kind, "jsonschema", json.dumps(schema, sort_keys=True).encode())
         channel = writer.register_channel(name, "json", number)
         for sequence, (log_ns, message) in enumerate(messages):
-            text = json.dumps(message, separators=(",", ":"), allow_nan=False)
-            writer.add_message(channel, log_ns, text.encode(), log_ns, sequence)
+            writer.add_message(channel, log_ns, message.encode(), log_ns, sequence)
     writer.finish()  # type: ignore[no-untyped-call]
     return stream.getvalue()
 
@@ -81,26 +81,42 @@ def location_fixes(
     stamp_ns: Ints, lonlat_deg: Floats, alt_m: Floats, sigma_m: Floats, frame_id: str
 ) -> Iterator[Message]:
     """foxglove.LocationFix; the altitude is left out where it is NaN."""
-    rows = zip(stamp_ns.tolist(), lonlat_deg.tolist(), alt_m.tolist(), sigma_m.tolist(), strict=True)
-    for ns, (lon, lat), alt, sigma in rows:
-        known = bool(np.isfinite(sigma).all())
-        variance = [s * s for s in sigma] if known else [0.0] * 3
-        message = {
-            "timestamp": _time(ns), "frame_id": frame_id, "latitude": lat, "longitude": lon,
-            "position_covariance": [variance[0], 0, 0, 0, variance[1], 0, 0, 0, variance[2]],
-            "position_covariance_type": COVARIANCE_DIAGONAL if known else COVARIANCE_UNKNOWN,
-        }  # fmt: skip
-        yield ns, message | ({"altitude": alt} if np.isfinite(alt) else {})
+    known, high = np.asarray(np.isfinite(sigma_m).all(axis=1)), np.isfinite(alt_m)
+    variance = np.where(known[:, None], sigma_m, 0.0) ** 2
+    kind = np.where(known, COVARIANCE_DIAGONAL, COVARIANCE_UNKNOWN)
+    altitude = [
+        f',"altitude":{alt}' if h else "" for alt, h in zip(alt_m.tolist(), high.tolist(), strict=True)
+    ]
+    columns = [lonlat_deg[:, 1], lonlat_deg[:, 0], *variance.T, kind]
+    return _messages(
+        stamp_ns,
+        f'{{"timestamp":{{"sec":%d,"nsec":%d}},"frame_id":"{frame_id}","latitude":%s,"longitude":%s,'
+        '"position_covariance":[%s,0,0,0,%s,0,0,0,%s],"position_covariance_type":%s%s}',
+        *map(json_texts, columns),
+        altitude,
+    )
 
 
 def poses_in_frame(stamp_ns: Ints, xyz_m: Floats, quaternion: Floats, frame_id: str) -> Iterator[Message]:
     """foxglove.PoseInFrame; quaternion (n, 4) x y z w."""
-    for ns, place, turn in zip(stamp_ns.tolist(), xyz_m.tolist(), quaternion.tolist(), strict=True):
-        pose = {
-            "position": dict(zip("xyz", place, strict=True)),
-            "orientation": dict(zip("xyzw", turn, strict=True)),
-        }
-        yield ns, {"timestamp": _time(ns), "frame_id": frame_id, "pose": pose}
+    return _messages(
+        stamp_ns,
+        f'{{"timestamp":{{"sec":%d,"nsec":%d}},"frame_id":"{frame_id}",'
+        '"pose":{"position":{"x":%s,"y":%s,"z":%s},"orientation":{"x":%s,"y":%s,"z":%s,"w":%s}}}',
+        *map(json_texts, [*xyz_m.T, *quaternion.T]),
+    )
+
+
+def _messages(stamp_ns: Ints, template: str, *texts: list[str]) -> Iterator[Message]:
+    """A message per time: the template with its second, nanosecond and texts."""
+    seconds, nanoseconds = (stamp_ns // NS_PER_S).tolist(), (stamp_ns % NS_PER_S).tolist()
+    for ns, *row in zip(stamp_ns.tolist(), seconds, nanoseconds, *texts, strict=True):
+        yield ns, template % tuple(row)
+
+
+def whole(log_ns: int, message: Mapping[str, Any]) -> Message:
+    """A message that stands alone."""
+    return log_ns, json.dumps(message, separators=(",", ":"), allow_nan=False)
 
 
 def scene_lines(
@@ -120,7 +136,7 @@ def scene_lines(
             "frame_locked": False, "lines": [line],
         }  # fmt: skip
         out.append(entity)
-    return log_ns, {"entities": out}
+    return whole(log_ns, {"entities": out})
 
 
 def _time(ns: int) -> dict[str, int]:

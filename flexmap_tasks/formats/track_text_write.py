@@ -13,16 +13,16 @@ NS_PER_S = 1_000_000_000
 def kitti_text(xyz_m: Floats, rotation: NDArray[np.float64]) -> str:
     """Rows of the upper 3 x 4 of each pose; xyz_m (n, 3), rotation (n, 3, 3)."""
     rows = np.concatenate([rotation, xyz_m[:, :, None]], axis=2).reshape(-1, 12)
-    return "".join(" ".join(f"{v:.9e}" for v in row) + "\n" for row in rows.tolist())
+    template = " ".join(["%.9e"] * 12) + "\n"
+    return "".join(template % tuple(row) for row in rows.tolist())
 
 
 def tum_text(stamp_ns: Ints, xyz_m: Floats, quaternion: Floats) -> str:
     """Rows of seconds, x y z, quaternion x y z w."""
-    rows = np.column_stack([xyz_m, quaternion]).tolist()
-    return "".join(
-        f"{ns // NS_PER_S}.{ns % NS_PER_S:09d} " + " ".join(f"{v:.9f}" for v in row) + "\n"
-        for ns, row in zip(stamp_ns.tolist(), rows, strict=True)
-    )
+    seconds, nanoseconds = (stamp_ns // NS_PER_S).tolist(), (stamp_ns % NS_PER_S).tolist()
+    template = "%d.%09d " + " ".join(["%.9f"] * 7) + "\n"
+    rows = zip(seconds, nanoseconds, *xyz_m.T.tolist(), *quaternion.T.tolist(), strict=True)
+    return "".join(template % row for row in rows)
 
 
 def csv_text(columns: dict[str, list[object]]) -> str:

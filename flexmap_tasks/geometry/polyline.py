@@ -1,16 +1,26 @@
-"""Measures along and to polylines."""
+"""Measures along and to polylines.
+
+What follows each other on a polyline lies near each other: boxes around runs of its segments, around pairs of
+runs and so on are a tree that finds the nearest segment without being built from anything but the order.
+"""
 
 from __future__ import annotations
 
 from typing import NamedTuple
 
 import numpy as np
-import shapely
+from numba import njit
 from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 Bools = NDArray[np.bool_]
+
+_RUN = 8
+"""Segments in a leaf of the tree."""
+
+_ROUNDING = 1.0 - 1e-12
+"""A box counts as this much nearer than it is: rounding must not hide a segment that is as near as the best."""
 
 
 def steps_m(points: Floats) -> Floats:
@@ -54,17 +64,90 @@ def nearest_on_polyline(points: Floats, line: Floats, usable: Bools | None = Non
     rows = np.arange(len(line) - 1) if usable is None else np.flatnonzero(usable)
     if len(rows) == 0 or len(points) == 0:
         return Nearest(np.full(len(points), np.nan), np.zeros(len(points), np.int64), np.zeros(len(points)))
-    ends = np.round(np.stack([line[rows], line[rows + 1]], axis=1), 9)  # GEOS fails at steps of 1e-200
-    segments = shapely.linestrings(ends)
-    found, near = shapely.STRtree(segments).query_nearest(shapely.points(points), all_matches=True)
-    first = np.flatnonzero(np.diff(found, prepend=-1))
-    nearest = rows[np.minimum.reduceat(near, first)]  # ties to the earlier segment, whatever the index
+    ends = np.concatenate([line[rows], line[rows + 1]], axis=1)
+    nearest = rows[_nearest(np.ascontiguousarray(points), ends, _boxes(ends))]
     start, edge = line[nearest], line[nearest + 1] - line[nearest]
     square = (edge**2).sum(axis=1)
     along = ((points - start) * edge).sum(axis=1)
     share = np.clip(np.divide(along, square, out=np.zeros_like(along), where=square > 0), 0.0, 1.0)
     gap = points - start - share[:, None] * edge
     return Nearest(np.hypot(gap[:, 0], gap[:, 1]), nearest, share)
+
+
+@njit(cache=True)
+def _boxes(ends):  # type: ignore[no-untyped-def]  # pragma: no cover
+    """(2 k, 4) boxes x, y, x, y around runs of the segments (m, 4); node n has the children 2 n and 2 n + 1."""
+    leaves = 1
+    while leaves * _RUN < len(ends):
+        leaves *= 2
+    boxes = np.empty((2 * leaves, 4))
+    boxes[:, :2], boxes[:, 2:] = np.inf, -np.inf
+    for k in range(len(ends)):
+        box = boxes[leaves + k // _RUN]
+        for axis in range(2):
+            a, b = ends[k, axis], ends[k, 2 + axis]
+            box[axis] = min(box[axis], a, b)
+            box[2 + axis] = max(box[2 + axis], a, b)
+    for n in range(leaves - 1, 0, -1):
+        for axis in range(2):
+            boxes[n, axis] = min(boxes[2 * n, axis], boxes[2 * n + 1, axis])
+            boxes[n, 2 + axis] = max(boxes[2 * n, 2 + axis], boxes[2 * n + 1, 2 + axis])
+    return boxes
+
+
+@njit(cache=True)
+def _box_square(box, x, y):  # type: ignore[no-untyped-def]  # pragma: no cover
+    """Square of the distance to a box, rounded down."""
+    dx = max(box[0] - x, x - box[2], 0.0)
+    dy = max(box[1] - y, y - box[3], 0.0)
+    return (dx * dx + dy * dy) * _ROUNDING
+
+
+@njit(cache=True)
+def _segment_square(end, x, y):  # type: ignore[no-untyped-def]  # pragma: no cover
+    """Square of the distance to a segment; at its ends exactly that to the vertex, which two segments share."""
+    ex, ey = end[2] - end[0], end[3] - end[1]
+    dx, dy = x - end[0], y - end[1]
+    along, square = dx * ex + dy * ey, ex * ex + ey * ey
+    if along >= square > 0.0:
+        dx, dy = x - end[2], y - end[3]
+    elif 0.0 < along < square:
+        share = along / square
+        dx, dy = dx - share * ex, dy - share * ey
+    return dx * dx + dy * dy
+
+
+@njit(cache=True, nogil=True)
+def _nearest(points, ends, boxes):  # type: ignore[no-untyped-def]  # pragma: no cover
+    """(n,) the nearest of the segments (m, 4), of equally near ones the first; begins at the one found before."""
+    leaves = len(boxes) // 2
+    out = np.empty(len(points), np.int64)
+    waiting = np.empty(64, np.int64)
+    best = 0
+    for n in range(len(points)):
+        x, y = points[n, 0], points[n, 1]
+        least = _segment_square(ends[best], x, y)
+        waiting[0] = 1
+        count = 1
+        while count:
+            count -= 1
+            node = waiting[count]
+            if not _box_square(boxes[node], x, y) <= least:
+                continue
+            if node < leaves:
+                left, right = 2 * node, 2 * node + 1
+                swapped = _box_square(boxes[left], x, y) < _box_square(boxes[right], x, y)
+                waiting[count] = right if swapped else left
+                waiting[count + 1] = left if swapped else right
+                count += 2
+                continue
+            first = (node - leaves) * _RUN
+            for k in range(first, min(first + _RUN, len(ends))):
+                square = _segment_square(ends[k], x, y)
+                if square < least or (square == least and k < best):
+                    least, best = square, k
+        out[n] = best
+    return out
 
 
 TIE_M = 1e-6

@@ -14,6 +14,7 @@ from flexmap_tasks.formats.mcap_foxglove_write import (
     location_fixes,
     poses_in_frame,
     scene_lines,
+    whole,
 )
 from flexmap_tasks.model.arrays import Floats, Ints
 from flexmap_tasks.model.conflation import LaneCheck
@@ -67,7 +68,7 @@ def foxglove_recording(
         first_ns = int(min([*fix_ns[:1].tolist(), *pose_ns[:1].tolist()], default=0))
         lanes, check, layer = lanelets
         topics["/map/lanelets"] = ("foxglove.SceneUpdate", [_scene(first_ns, lanes, check)])
-        topics["/map/geojson"] = ("foxglove.GeoJSON", [(first_ns, {"geojson": geojson(layer).decode()})])
+        topics["/map/geojson"] = ("foxglove.GeoJSON", [whole(first_ns, {"geojson": geojson(layer).decode()})])
     return foxglove_mcap(topics)
 
 

@@ -139,6 +139,25 @@ def test_distance_to_a_line_is_the_smallest_of_all(points: np.ndarray, line: np.
     assert np.allclose(np.linalg.norm(points - place, axis=1), near.distance_m)
 
 
+def test_of_segments_as_near_as_each_other_the_first_is_taken_whatever_was_asked_before() -> None:
+    rng = np.random.default_rng(2)
+    line = rng.integers(0, 9, (150, 2)).astype(float)  # repeated vertices, and segments without length
+    line[40:45] = line[40]
+    points = np.concatenate([line, line + np.array([0.0, 100.0]), rng.integers(-3, 12, (300, 2))])
+    start, edge = line[:-1], np.diff(line, axis=0)
+    square = (edge**2).sum(axis=1)
+    along = ((points[:, None] - start) * edge).sum(axis=2)
+    share = np.clip(np.divide(along, square, out=np.zeros_like(along), where=square > 0), 0, 1)
+    distance = np.linalg.norm(points[:, None] - start - share[..., None] * edge, axis=2)
+    first = (distance <= distance.min(axis=1, keepdims=True) + 1e-9).argmax(axis=1)
+    near = nearest_on_polyline(points, line)
+    vertex = np.isin(near.share, (0.0, 1.0))  # inside of a segment rounding may decide
+    assert vertex.sum() > 300
+    assert np.array_equal(near.segment[vertex], first[vertex])
+    backwards = nearest_on_polyline(points[::-1], line)
+    assert np.array_equal(backwards.segment[::-1], near.segment)
+
+
 def test_distance_skips_what_was_not_driven() -> None:
     line = np.array([[0.0, 0], [10, 0], [10, 10]])
     near = nearest_on_polyline(np.array([[9.0, 8]]), line, np.array([True, False]))

@@ -220,3 +220,45 @@ def test_a_layer_without_features_is_a_file_without_rows() -> None:
     assert table.num_rows == 0
     assert table.column_names == ["reason", "row", "geometry"]
     assert json.loads(geojson(layer))["features"] == []
+
+
+def test_geojson_is_what_a_json_library_writes() -> None:
+    words = np.array(['say "50 %s"', None, "a\x07\ud800b\n"], dtype=object)
+    columns = {
+        "100 % \"sure\"": words, "m": np.array([0.1, np.nan, 1e-7]), "n": np.array([1, -2, 1 << 60]),
+        "used": np.array([True, False, True]),
+    }  # fmt: skip
+    rings = [
+        shapely.box(1, 2, 3, 4),
+        shapely.box(0, 0, 1e-9, 1e-5),
+        shapely.Polygon([(0, 0), (9, 0), (0, 9)]),
+    ]
+    for kind, shapes in {
+        "Polygon": rings,
+        "LineString": [ring.exterior for ring in rings],
+        "Point": [ring.centroid for ring in rings],
+    }.items():
+        text = geojson(VectorLayer("%s", kind, np.array(shapes), columns)).decode()
+        read = json.loads(text)
+        assert read["name"] == "%s"
+        for i, row in enumerate(text.split("\n")[1:-2]):
+            feature = read["features"][i]
+            assert row.rstrip(",") == json.dumps(feature, ensure_ascii=False, separators=(",", ":"))
+            assert feature["properties"] == {
+                '100 % "sure"': [words[0], None, "a\ufffd\ufffdb\n"][i],
+                "m": [0.1, None, 1e-7][i],
+                "n": [1, -2, 1 << 60][i],
+                "used": [True, False, True][i],
+            }
+            places = shapely.get_coordinates(shapely.from_geojson(json.dumps(feature["geometry"])))
+            given = shapely.orient_polygons(shapes[i]) if kind == "Polygon" else shapes[i]
+            assert np.abs(places - shapely.get_coordinates(given)).max() < 1e-8
+
+
+def test_a_number_that_json_does_not_know_is_no_feature() -> None:
+    layer = VectorLayer("x", "Point", shapely.points([[1.0, 2.0]]), {"m": np.array([np.inf])})
+    with pytest.raises(ValueError, match="no number for inf"):
+        geojson(layer)
+    nowhere = VectorLayer("x", "Point", shapely.points([[np.nan, 2.0]]), {})
+    with pytest.raises(ValueError, match="no number for nan"):
+        geojson(nowhere)
