@@ -123,7 +123,7 @@ def test_resampling_is_even_and_keeps_the_ends() -> None:
     assert np.array_equal(out[[0, -1]], line[[0, -1]])
 
 
-@settings(max_examples=40)
+@settings(max_examples=40, deadline=None)  # the first example loads compiled code
 @given(
     arrays.arrays(float, st.tuples(st.integers(1, 20), st.just(2)), elements=coordinate),
     arrays.arrays(float, st.tuples(st.integers(2, 20), st.just(2)), elements=coordinate),
