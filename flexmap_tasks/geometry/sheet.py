@@ -13,17 +13,16 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from flexmap_tasks.geometry.sheet_grid import MARGIN_M, Grid, build_grid
+
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
 EDGE_TOLERANCE_M = 1e-7
 """A point this far outside of a triangle still belongs to it: rounding must not open gaps at edges."""
 
-_CHUNK = 1 << 12
-"""Points handled at a time: all of their arrays stay in the processor's first cache."""
-
-_CELL_MARGIN_M = 1e-3
-"""Triangles are registered in cells they nearly touch: far more than the tolerance and rounding together."""
+_POINTS_PER_CELL = 16
+"""The grid is no finer than that many points repay."""
 
 
 class Mesh(NamedTuple):
@@ -31,18 +30,12 @@ class Mesh(NamedTuple):
 
     halfplanes : (t, 3, 3) float64; a x + b y + c is the signed distance to an edge in metres, inside positive
     affine : (t + 1, 2, 3) float64, the map of every triangle, and last the one outside of all
-    grid : (4,) float64, x and y of the grid's corner, cells per metre in x and y
-    shape : cells in x and y
-    cell : (nx * ny,) int32, >= 0 the triangle that fills the cell, -1 none, else -2 - (start in `lists`)
-    lists : (m,) int32, runs of a count and that many triangles
+    grid : where to look for the triangle of a point
     """
 
     halfplanes: Floats
     affine: Floats
-    grid: Floats
-    shape: tuple[int, int]
-    cell: NDArray[np.int32]
-    lists: NDArray[np.int32]
+    grid: Grid
 
 
 def build_mesh(source: Floats, target: Floats, triangles: Ints, outside: Floats, points: int) -> Mesh:
@@ -54,19 +47,10 @@ def build_mesh(source: Floats, target: Floats, triangles: Ints, outside: Floats,
     points : how many points are to be moved; the grid is no finer than they repay
     """
     affine = np.concatenate([affine_maps(source[triangles], target[triangles]), outside[None]])
-    halfplanes = _halfplanes(source[triangles])
-    if len(triangles) == 0:
-        nothing = np.full(1, -1, np.int32)
-        return Mesh(halfplanes, affine, np.array([0.0, 0.0, 1.0, 1.0]), (1, 1), nothing, nothing)
-    low = source[triangles].min(axis=(0, 1)) - 1.0
-    size = source[triangles].max(axis=(0, 1)) + 1.0 - low
-    cells = float(np.clip(points / 4, 256, 1 << 18))
-    edge = np.sqrt(size[0] * size[1] / cells)
-    nx, ny = (int(np.clip(np.ceil(s / edge), 1, 4096)) for s in size)
-    grid = np.array([low[0], low[1], nx / size[0], ny / size[1]])
-    boxes = np.concatenate([source[triangles].min(axis=1), source[triangles].max(axis=1)], axis=1)
-    cell, lists = _rasterise(halfplanes, boxes, grid, nx, ny)
-    return Mesh(halfplanes, affine, grid, (nx, ny), cell, lists)
+    corners = source[triangles]
+    halfplanes = _halfplanes(corners)
+    cells = float(np.clip(points / _POINTS_PER_CELL, 256, 1 << 18))
+    return Mesh(halfplanes, affine, build_grid(corners, halfplanes, triangles, cells))
 
 
 def affine_maps(source: Floats, target: Floats) -> Floats:
@@ -86,26 +70,28 @@ def affine_maps(source: Floats, target: Floats) -> Floats:
 def move(mesh: Mesh, xyz_m: Floats) -> Floats:
     """(n, 3) points moved by the mesh; z is kept."""
     out = np.empty((len(xyz_m), 3))
-    move_into(mesh, np.ascontiguousarray(xyz_m), out)
+    _run(mesh, np.ascontiguousarray(xyz_m), out, np.empty(0, np.int64))
     return out
-
-
-def move_into(mesh: Mesh, xyz_m: Floats, out: Floats) -> None:
-    """The same into memory that is there already; both arrays (n, 3) and contiguous."""
-    _move_all(mesh.affine.ravel(), mesh.halfplanes, mesh.grid, *mesh.shape, mesh.cell, mesh.lists, xyz_m, out)
 
 
 def locate(mesh: Mesh, xyz_m: Floats) -> Ints:
     """(n,) the triangle every point belongs to; the number of triangles where it is outside of all."""
-    out = np.empty(len(xyz_m), np.int64)
-    points = np.ascontiguousarray(xyz_m)
-    _locate(mesh.halfplanes, mesh.grid, *mesh.shape, mesh.cell, mesh.lists, points, out)
-    return out
+    found = np.empty(len(xyz_m), np.int64)
+    _run(mesh, np.ascontiguousarray(xyz_m), np.empty((len(xyz_m), 3)), found)
+    return found
+
+
+def _run(mesh: Mesh, xyz_m: Floats, out: Floats, found: Ints) -> None:
+    grid = mesh.grid
+    _move(
+        mesh.affine.ravel(), mesh.halfplanes, grid.frame, *grid.shape, grid.cell, grid.lists, grid.line.ravel(),
+        grid.pick.ravel(), xyz_m, out, found,
+    )  # fmt: skip
 
 
 def touching(corners: Floats, low: Floats, high: Floats) -> NDArray[np.bool_]:
     """(t,) which triangles (t, 3, 2), counter-clockwise, touch the box, with a small margin (separating axes)."""
-    margin = 2 * _CELL_MARGIN_M
+    margin = 2 * MARGIN_M
     apart = (corners.max(axis=1) < low - margin) | (corners.min(axis=1) > high + margin)
     planes = _halfplanes(corners)
     centre, half = (low + high) / 2, (high - low) / 2
@@ -124,59 +110,6 @@ def _halfplanes(corners: Floats) -> Floats:
 
 
 @njit(cache=True, nogil=True)
-def _touch(planes, cx, cy, hx, hy):  # type: ignore[no-untyped-def]  # pragma: no cover
-    """0 the cell is apart from the triangle, 1 it touches, 2 it lies wholly inside."""
-    inside = True
-    for k in range(3):
-        reach = abs(planes[k, 0]) * hx + abs(planes[k, 1]) * hy + _CELL_MARGIN_M
-        distance = planes[k, 0] * cx + planes[k, 1] * cy + planes[k, 2]
-        if distance < -reach:
-            return 0
-        inside = inside and distance > reach
-    return 2 if inside else 1
-
-
-@njit(cache=True, nogil=True)
-def _rasterise(planes, boxes, grid, nx, ny):  # type: ignore[no-untyped-def]  # pragma: no cover
-    hx, hy = 0.5 / grid[2], 0.5 / grid[3]
-    cell = np.full(nx * ny, -1, np.int32)
-    count = np.zeros(nx * ny, np.int32)
-    lists = np.empty(0, np.int32)
-    for fill in range(2):
-        if fill:
-            total = 0
-            for i in range(nx * ny):
-                if cell[i] == -1 and count[i] > 0:
-                    cell[i] = -2 - total
-                    total += 1 + count[i]
-            lists = np.zeros(total, np.int32)
-        for t in range(len(planes)):
-            i0 = max(int((boxes[t, 0] - _CELL_MARGIN_M - grid[0]) * grid[2]), 0)
-            j0 = max(int((boxes[t, 1] - _CELL_MARGIN_M - grid[1]) * grid[3]), 0)
-            i1 = min(int((boxes[t, 2] + _CELL_MARGIN_M - grid[0]) * grid[2]), nx - 1)
-            j1 = min(int((boxes[t, 3] + _CELL_MARGIN_M - grid[1]) * grid[3]), ny - 1)
-            for j in range(j0, j1 + 1):
-                for i in range(i0, i1 + 1):
-                    at = j * nx + i
-                    if cell[at] >= 0:
-                        continue
-                    cx = grid[0] + (i + 0.5) / grid[2]
-                    cy = grid[1] + (j + 0.5) / grid[3]
-                    touch = _touch(planes[t], cx, cy, hx, hy)
-                    if touch == 0:
-                        continue
-                    if fill == 0:
-                        count[at] += 1
-                        if touch == 2:
-                            cell[at] = t
-                    else:
-                        start = -2 - cell[at]
-                        lists[start] += 1
-                        lists[start + lists[start]] = t
-    return cell, lists
-
-
-@njit(cache=True, nogil=True)
 def _find(planes, first, last, lists, x, y):  # type: ignore[no-untyped-def]  # pragma: no cover
     """The first triangle of a cell's list that holds the point; -1 none."""
     for k in range(first, last):
@@ -191,37 +124,31 @@ def _find(planes, first, last, lists, x, y):  # type: ignore[no-untyped-def]  # 
 
 
 @njit(cache=True, nogil=True)
-def _locate(planes, grid, nx, ny, cell, lists, xyz, out):  # type: ignore[no-untyped-def]  # pragma: no cover
-    x0, y0, per_x, per_y = grid[0], grid[1], grid[2], grid[3]
-    wide, high = float(nx), float(ny)
+def _move(affine, planes, frame, nx, ny, cell, lists, line, pick, xyz, out, found):  # type: ignore[no-untyped-def]  # pragma: no cover
+    """Apply the affine map of its triangle, flat runs of six, to every point; `found`, unless empty, names it.
+
+    One loop: a function that is called per point, even in line, counts references to its arrays per point.
+    """
+    x0, y0, per_x, per_y = frame[0], frame[1], frame[2], frame[3]
+    wide, high, none, names = float(nx), float(ny), np.int64(len(planes)), len(found) > 0
     for n in range(len(xyz)):
         x, y = xyz[n, 0], xyz[n, 1]
-        u = (x - x0) * per_x
-        v = (y - y0) * per_y
-        t = np.int64(-1)
+        u, v = (x - x0) * per_x, (y - y0) * per_y
+        ask = none
         if u >= 0.0 and v >= 0.0 and u < wide and v < high:
-            t = np.int64(cell[np.uint64(np.uint32(v)) * np.uint64(nx) + np.uint64(np.uint32(u))])
-            if t < -1:
-                start = -2 - t
-                t = _find(planes, start + 1, start + 1 + lists[start], lists, x, y)
-        out[n] = t if t >= 0 else len(planes)
-
-
-@njit(cache=True, nogil=True)
-def _move(affine, rows, xyz, out):  # type: ignore[no-untyped-def]  # pragma: no cover
-    """Apply the affine map affine[rows[n]], flat runs of six, to every point."""
-    for n in range(len(xyz)):
-        x, y = xyz[n, 0], xyz[n, 1]
-        k = np.uint64(6) * np.uint64(rows[n])
+            # unsigned numbers spare the check for negative indices
+            ask = np.int64(cell[np.uint64(np.uint32(v)) * np.uint64(nx) + np.uint64(np.uint32(u))])
+        if ask >= 0:
+            k = np.uint64(3) * np.uint64(ask)
+            beyond = line[k] * x + line[k + np.uint64(1)] * y + line[k + np.uint64(2)] < -EDGE_TOLERANCE_M
+            t = np.int64(pick[np.uint64(2) * np.uint64(ask) + np.uint64(beyond)])
+        else:
+            start = -1 - ask
+            t = _find(planes, start + 1, start + 1 + lists[start], lists, x, y)
+            t = t if t >= 0 else none
+        if names:
+            found[n] = t
+        k = np.uint64(6) * np.uint64(t)
         out[n, 0] = affine[k] * x + affine[k + np.uint64(1)] * y + affine[k + np.uint64(2)]
         out[n, 1] = affine[k + np.uint64(3)] * x + affine[k + np.uint64(4)] * y + affine[k + np.uint64(5)]
         out[n, 2] = xyz[n, 2]
-
-
-@njit(cache=True, nogil=True)
-def _move_all(affine, planes, grid, nx, ny, cell, lists, xyz, out):  # type: ignore[no-untyped-def]  # pragma: no cover
-    rows = np.empty(min(len(xyz), _CHUNK), np.int64)
-    for start in range(0, len(xyz), _CHUNK):
-        part = xyz[start : start + _CHUNK]
-        _locate(planes, grid, nx, ny, cell, lists, part, rows)
-        _move(affine, rows, part, out[start : start + _CHUNK])

@@ -13,6 +13,7 @@ from flexmap_tasks.geometry import utm
 from flexmap_tasks.geometry.breaks import observed_steps
 from flexmap_tasks.geometry.polyline import arc_length_m, nearest_on_polyline, resample_evenly
 from flexmap_tasks.geometry.rigid import fit_planar_motion
+from flexmap_tasks.geometry.sheet import EDGE_TOLERANCE_M, build_mesh, locate, move
 from flexmap_tasks.geometry.triangulation import canonical, delaunay, ring, twice_area
 from flexmap_tasks.geometry.turns import turned_about_z, yaw_rad
 from flexmap_tasks.model.projection import Projection
@@ -203,3 +204,43 @@ def test_turn_about_z_adds_to_the_heading(first: float, second: float) -> None:
     start = np.array([[0.0, 0.0, np.sin(first / 2), np.cos(first / 2)]])
     turned = yaw_rad(turned_about_z(start, np.array([second])))[0]
     assert np.cos(turned - first - second) == pytest.approx(1.0)
+
+
+@settings(max_examples=30, deadline=None)
+@given(st.integers(0, 2**32 - 1), st.integers(3, 40), st.sampled_from((1.0, 40.0, 3000.0)), st.booleans())
+def test_a_point_belongs_to_the_first_triangle_that_holds_it(
+    seed: int, vertices: int, side_m: float, overlapping: bool
+) -> None:
+    rng = np.random.default_rng(seed)
+    source = np.round(rng.uniform(0, side_m, (vertices, 2)), 1 if side_m > 1 else 3)
+    source = np.unique(source, axis=0)
+    if overlapping:  # the way back through a folded sheet
+        triangles = rng.integers(0, len(source), (vertices, 3))
+    else:
+        triangles = delaunay(np.concatenate([source, [[-side_m, 0], [2 * side_m, 0], [0, 3 * side_m]]]))
+        source = np.concatenate([source, [[-side_m, 0], [2 * side_m, 0], [0, 3 * side_m]]])
+    area = twice_area(source[triangles])
+    triangles = np.where(area[:, None] < 0, triangles[:, ::-1], triangles)[np.abs(area) > 1e-3 * side_m**2]
+    ends = source[triangles] if len(triangles) else source[None, :3]
+    share = rng.dirichlet((1, 1, 1), 300) * (
+        rng.random((300, 3)) > 0.4
+    )  # in triangles, on edges, at vertices
+    share[share.sum(axis=1) == 0] = 1.0
+    share /= share.sum(axis=1, keepdims=True)
+    on = np.einsum("nk,nkd->nd", share, ends[rng.integers(0, len(ends), 300)])
+    xy = np.concatenate([on, on + rng.normal(0, 2e-7, on.shape), rng.uniform(-2, 4, (300, 2)) * side_m])
+    xyz = np.column_stack([xy, np.arange(len(xy))])
+    outside = np.array([[1.0, 0.0, 7.0], [0.0, 1.0, -7.0]])
+    wanted = np.full(len(xy), len(triangles))
+    for t in range(len(triangles) - 1, -1, -1):
+        start, end = source[triangles[t]], source[np.roll(triangles[t], -1)]
+        normal = np.column_stack([start[:, 1] - end[:, 1], end[:, 0] - start[:, 0]])
+        normal /= np.hypot(normal[:, 0], normal[:, 1])[:, None]
+        inside = normal[:, 0] * xy[:, :1] + normal[:, 1] * xy[:, 1:] - (normal * start).sum(axis=1)
+        wanted[(inside >= -EDGE_TOLERANCE_M).all(axis=1)] = t
+    for points in (1, 20_000, 1 << 22):  # from few large cells to many small ones
+        mesh = build_mesh(source, source[::-1], triangles, outside, points)
+        assert np.array_equal(locate(mesh, xyz), wanted)
+        a = mesh.affine[wanted]
+        moved = np.column_stack([a[:, i, 0] * xy[:, 0] + a[:, i, 1] * xy[:, 1] + a[:, i, 2] for i in (0, 1)])
+        assert np.array_equal(move(mesh, xyz), np.column_stack([moved, xyz[:, 2]]))
