@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+import dataclasses
 import os
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from flexmap_tasks.config import Params
 from flexmap_tasks.engine.keys import input_types, preimage
 from flexmap_tasks.engine.stage import AnyStage
-from flexmap_tasks.formats.artifacts import decode, encode
+from flexmap_tasks.formats.artifacts import decode
 from flexmap_tasks.store.artifact import Artifact, Blob, canonical_json, digest_of
 from flexmap_tasks.store.store import ActionRecord, ArtifactFiles
 
@@ -58,7 +61,7 @@ def prepare(
     own = dict(node.narrow(key, values)) if node.narrow is not None else {}
     shared = {name: bound for name, bound in others.items() if name not in own}
     digests = {name: bound.digest for name, bound in others.items()}
-    digests |= {name: _digest_of_value(value, name) for name, value in own.items()}
+    digests |= {name: digest_of(canonical_json(_told(value))) for name, value in own.items()}
     each = str(node.each)
     image = preimage(node.stage, node.params, {**digests, each: _rename(item, key, each).digest})
     return ItemJob(key, image, item, shared, own)
@@ -110,5 +113,16 @@ def _rename(item: Artifact, key: str, name: str) -> Artifact:
     return Artifact.of({f"{name}{path[len(key) :]}": blob for path, blob in item.files})
 
 
-def _digest_of_value(value: Any, name: str) -> str:
-    return digest_of(canonical_json([[path, digest_of(content)] for path, content in encode(value, name)]))
+def _told(value: Any) -> Any:
+    """A value that was never stored, as JSON that names all it holds: arrays by type, shape and digest."""
+    if isinstance(value, np.ndarray):
+        content = canonical_json(value.tolist()) if value.dtype == object else value.tobytes()
+        return [value.dtype.str, value.shape, digest_of(content)]
+    if dataclasses.is_dataclass(value) and not isinstance(value, type):
+        return [
+            type(value).__name__,
+            {f.name: _told(getattr(value, f.name)) for f in dataclasses.fields(value)},
+        ]
+    if isinstance(value, Mapping):
+        return {key: _told(item) for key, item in value.items()}
+    return value

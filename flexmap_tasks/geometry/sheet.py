@@ -29,11 +29,13 @@ class Mesh(NamedTuple):
     """A triangle mesh prepared for many points.
 
     halfplanes : (t, 3, 3) float64; a x + b y + c is the signed distance to an edge in metres, inside positive
+    boxes : (t, 4) float64, x, y, x, y around every triangle
     affine : (t + 1, 2, 3) float64, the map of every triangle, and last the one outside of all
     grid : where to look for the triangle of a point
     """
 
     halfplanes: Floats
+    boxes: Floats
     affine: Floats
     grid: Grid
 
@@ -49,8 +51,9 @@ def build_mesh(source: Floats, target: Floats, triangles: Ints, outside: Floats,
     affine = np.concatenate([affine_maps(source[triangles], target[triangles]), outside[None]])
     corners = source[triangles]
     halfplanes = _halfplanes(corners)
+    boxes = np.concatenate([corners.min(axis=1), corners.max(axis=1)], axis=1)
     cells = float(np.clip(points / _POINTS_PER_CELL, 256, 1 << 18))
-    return Mesh(halfplanes, affine, build_grid(corners, halfplanes, triangles, cells))
+    return Mesh(halfplanes, boxes, affine, build_grid(boxes, halfplanes, triangles, cells))
 
 
 def affine_maps(source: Floats, target: Floats) -> Floats:
@@ -89,16 +92,15 @@ def _run(mesh: Mesh, xyz_m: Floats, out: Floats, found: Ints) -> None:
     )  # fmt: skip
 
 
-def touching(corners: Floats, low: Floats, high: Floats) -> NDArray[np.bool_]:
-    """(t,) which triangles (t, 3, 2), counter-clockwise, touch the box, with a small margin (separating axes)."""
-    margin = 2 * MARGIN_M
-    apart = (corners.max(axis=1) < low - margin) | (corners.min(axis=1) > high + margin)
-    planes = _halfplanes(corners)
+def touching(mesh: Mesh, low: Floats, high: Floats) -> NDArray[np.bool_]:
+    """(t,) which triangles touch the box between two corners, with a small margin (separating axes)."""
+    margin, boxes, planes = 2 * MARGIN_M, mesh.boxes, mesh.halfplanes
+    apart = (boxes[:, 2:] < low - margin) | (boxes[:, :2] > high + margin)
     centre, half = (low + high) / 2, (high - low) / 2
     distance = planes[..., :2] @ centre + planes[..., 2]
     reach = np.abs(planes[..., :2]) @ half
-    separated: NDArray[np.bool_] = apart.any(axis=1) | (distance < -(reach + margin)).any(axis=1)
-    return ~separated
+    parted = distance < -(reach + margin)
+    return ~np.asarray(apart.any(axis=1) | parted.any(axis=1))
 
 
 def _halfplanes(corners: Floats) -> Floats:

@@ -39,10 +39,10 @@ class Grid(NamedTuple):
     pick: NDArray[np.int32]
 
 
-def build_grid(corners: Floats, halfplanes: Floats, triangles: Ints, cells: float) -> Grid:
+def build_grid(boxes: Floats, halfplanes: Floats, triangles: Ints, cells: float) -> Grid:
     """About so many cells over the triangles.
 
-    corners : (t, 3, 2); halfplanes : (t, 3, 3), see `Mesh`; triangles : (t, 3) vertices, counter-clockwise
+    boxes, halfplanes : of the triangles, see `Mesh`; triangles : (t, 3) vertices, counter-clockwise
     """
     count = len(triangles)
     none = np.arange(count + 1, dtype=np.int32)
@@ -53,7 +53,6 @@ def build_grid(corners: Floats, halfplanes: Floats, triangles: Ints, cells: floa
     if not count:
         nothing = np.zeros(1, np.int32)
         return Grid(np.array([0.0, 0.0, 1.0, 1.0]), (1, 1), nothing, nothing, line, pick)
-    boxes = np.concatenate([corners.min(axis=1), corners.max(axis=1)], axis=1)
     low = boxes[:, :2].min(axis=0) - 1.0
     size = boxes[:, 2:].max(axis=0) + 1.0 - low
     edge = np.sqrt(size[0] * size[1] / cells)

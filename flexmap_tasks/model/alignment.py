@@ -244,12 +244,9 @@ class Warp:
             return Warp(still, None, bend=self.bend.restrict(extent.corners()[[0, 2]]))
         if self.sheet is None:
             return Warp(motion, None, unbend=self.unbend)
-        sheet, moving = self.sheet, motion.inverse().apply_xy(self.sheet.source_xy_m)
-        corners = extent.corners()
-        keep = kernels.touching(moving[sheet.triangles], corners[0], corners[2])
-        triangles = sheet.triangles[keep]
+        sheet, mesh, corners = self.sheet, _mesh(self, 1), extent.corners()
+        triangles = sheet.triangles[kernels.touching(mesh, corners[0], corners[2])]
         rows = np.unique(triangles)
-        mesh = _mesh(self, 1)
         leaves = (kernels.locate(mesh, np.column_stack([corners, np.zeros(4)])) == len(sheet.triangles)).any()
         outside = sheet.outside_shift_m if leaves else np.zeros(2)
         return Warp(
