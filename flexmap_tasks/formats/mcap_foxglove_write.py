@@ -8,9 +8,9 @@ from collections.abc import Iterable, Iterator, Mapping
 from typing import Any
 
 import numpy as np
-from mcap.writer import CompressionType, Writer
 
 from flexmap_tasks.formats.json_text import json_texts
+from flexmap_tasks.formats.mcap_file import McapFile
 from flexmap_tasks.model.arrays import Floats, Ints
 
 NS_PER_S = 1_000_000_000
@@ -65,15 +65,17 @@ LINE_LIST = 2
 def foxglove_mcap(topics: Mapping[str, tuple[str, Iterable[Message]]]) -> bytes:
     """Topics {name: (schema, messages in the order of their log time)}; same messages, same bytes."""
     stream = io.BytesIO()
-    writer = Writer(stream, compression=CompressionType.ZSTD, chunk_size=1024 * 1024)
-    writer.start(profile="", library="flexmap")
+    file = McapFile(stream, "")
     for name, (kind, messages) in topics.items():
         schema = {"type": "object", "title": kind, "properties": SCHEMAS[kind]}
-        number = writer.register_schema(kind, "jsonschema", json.dumps(schema, sort_keys=True).encode())
-        channel = writer.register_channel(name, "json", number)
-        for sequence, (log_ns, message) in enumerate(messages):
-            writer.add_message(channel, log_ns, message.encode(), log_ns, sequence)
-    writer.finish()  # type: ignore[no-untyped-call]
+        number = file.schema(kind, "jsonschema", json.dumps(schema, sort_keys=True).encode())
+        channel = file.channel(name, "json", number, {})
+        log_ns, texts = zip(*messages, strict=True) if (messages := list(messages)) else ((), ())
+        file.messages(
+            np.full(len(texts), channel), np.array(log_ns, np.int64), np.arange(len(texts)),
+            [text.encode() for text in texts],
+        )  # fmt: skip
+    file.finish()
     return stream.getvalue()
 
 

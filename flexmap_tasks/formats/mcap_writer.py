@@ -7,9 +7,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from mcap.writer import CompressionType, Writer
 from numpy.typing import NDArray
 
+from flexmap_tasks.formats.mcap_file import CHUNK_BYTES, McapFile
 from flexmap_tasks.formats.ros_definitions import DEFINITIONS
 from flexmap_tasks.model.arrays import Floats, Ints
 
@@ -32,22 +32,35 @@ Stamped = tuple[int, bytes]
 def write_mcap(path: Path, topics: Mapping[str, tuple[str, Iterable[Stamped]]]) -> None:
     """Write topics {name: (ROS 2 type, messages in the order of their log time)}, merged by log time.
 
-    Messages may be generators: only one of each topic is held at a time. Same messages, same bytes.
+    Messages may be generators: only a chunk of them is held at a time. Same messages, same bytes.
     """
     with path.open("wb") as stream:
-        writer = Writer(stream, compression=CompressionType.ZSTD, chunk_size=1024 * 1024)
-        writer.start(profile="ros2", library="flexmap")
+        file = McapFile(stream, "ros2")
         channels, schemas = {}, dict[str, int]()
         for name, (kind, _) in topics.items():
             if kind not in schemas:
-                schemas[kind] = writer.register_schema(kind, "ros2msg", DEFINITIONS[kind].encode())
-            channels[name] = writer.register_channel(
-                name, "cdr", schemas[kind], {"offered_qos_profiles": QOS}
-            )
+                schemas[kind] = file.schema(kind, "ros2msg", DEFINITIONS[kind].encode())
+            channels[name] = file.channel(name, "cdr", schemas[kind], {"offered_qos_profiles": QOS})
         sources = [(channels[name], iter(messages)) for name, (_, messages) in topics.items()]
-        for sequence, (channel, log_ns, message) in enumerate(_merged(sources)):
-            writer.add_message(channel, log_ns, message, log_ns, sequence)
-        writer.finish()  # type: ignore[no-untyped-call]
+        first = 0
+        for some in _some(_merged(sources)):
+            channel, log_ns = (np.array([row[i] for row in some], np.int64) for i in (0, 1))
+            file.messages(channel, log_ns, np.arange(first, first + len(some)), [text for *_, text in some])
+            first += len(some)
+        file.finish()
+
+
+def _some(messages: Iterable[tuple[int, int, bytes]]) -> Iterator[list[tuple[int, int, bytes]]]:
+    """All messages, about as many at a time as a chunk holds."""
+    waiting, size = list[tuple[int, int, bytes]](), 0
+    for message in messages:
+        waiting.append(message)
+        size += len(message[2])
+        if size > CHUNK_BYTES:
+            yield waiting
+            waiting, size = [], 0
+    if waiting:
+        yield waiting
 
 
 def _merged(sources: list[tuple[int, Iterator[Stamped]]]) -> Iterator[tuple[int, int, bytes]]:
