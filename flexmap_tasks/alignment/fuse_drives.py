@@ -123,10 +123,11 @@ def _said(graph: PoseGraph, place_m: Floats) -> Said:
     has = np.isfinite(up[node])
     lifts = np.where(has, kernel / np.where(has, up[node], 1.0), 0.0)
     by = kernel / plane[node]
+    there = lift[node] + (nodes.tilt_xy_rad[node] * away.reshape(*node.shape, 2)).sum(axis=2)
     return Said(
         np.column_stack([_mean(xy[..., 0], by), _mean(xy[..., 1], by)]),
         about,
-        _mean(lift[node], lifts),
+        _mean(there, lifts),
         _mean(plane[node], kernel),
         _mean(var_turn[node], kernel),
         _mean(up[node], np.where(has, kernel, 0.0)),

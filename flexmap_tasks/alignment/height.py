@@ -1,56 +1,68 @@
-"""Heights: SLAM's own shape, held by the altitudes of the fixes."""
+"""Heights of the nodes, and what became of every altitude."""
 
 from __future__ import annotations
 
-from typing import NamedTuple, Self
+from typing import NamedTuple
 
 import numpy as np
-from scipy import sparse
 
-from flexmap_tasks.geometry.adjustment import Group, adjust
-from flexmap_tasks.geometry.normal_equations import inverse_on_pattern
-from flexmap_tasks.model.arrays import Floats, Ints
-
-UNKNOWN_SIGMA_M = 0.06
-"""Of an altitude that states none: twice the horizontal one."""
-
-_STEP_M = 3.0
-_START, _FLOOR = np.array([0.02, 1.0]), np.array([1e-4, 0.2])
+from flexmap_tasks.alignment.antenna_heights import Told, told_heights
+from flexmap_tasks.alignment.drive import Drive
+from flexmap_tasks.alignment.solve import Solved
+from flexmap_tasks.alignment.vertical_graph import ALTITUDE, CLIMB, TILT, Lifted, lifted
+from flexmap_tasks.config import PoseGraphParams
+from flexmap_tasks.model.arrays import Bools, Floats, Strings
+from flexmap_tasks.model.tracks import GnssTrack, Trajectory
 
 
-class Lift(NamedTuple):
-    """lift : (n,) what is added to the height of every node."""
+class Raised(NamedTuple):
+    """lift_m, tilt, sigma_m, sigma_tilt : of the nodes, see `Lifted`; zero and NaN where no altitude tells
 
-    lift: Floats
-
-    def moved(self, step: Floats) -> Self:
-        """The lifts after a correction."""
-        return self._replace(lift=self.lift + step)
-
-
-def lifted(
-    step_m: Floats, node: Ints, misfit_m: Floats, sigma_m: Floats, rounds: int = 5
-) -> tuple[Floats, Floats]:
-    """Lift and its standard deviation, (n,) each: a random walk along the way, seen at nodes through altitudes.
-
-    step_m : (n - 1,) way between nodes
-    node, misfit_m, sigma_m : (m,) which node, altitude minus SLAM height there, its stated deviation (NaN unknown)
+    altitude_used, altitude_reason, altitude_residual_m : of all fixes, see `GnssUse`; noise_* : see `GraphFigures`
     """
-    n = len(step_m) + 1
-    each, ones = np.arange(n - 1), np.ones(n - 1)
-    ends = (np.tile(each, 2), np.concatenate([each, each + 1]))
-    walk = sparse.csr_matrix((np.concatenate([-ones, ones]), ends), shape=(n - 1, n))
-    seen = sparse.csr_matrix((np.ones(len(node)), (np.arange(len(node)), node)), shape=(len(node), n))
-    unit = np.sqrt(np.maximum(step_m, 0.1) / _STEP_M)
-    stated = np.where(np.isfinite(sigma_m) & (sigma_m > 0), np.maximum(sigma_m, 0.01), UNKNOWN_SIGMA_M)
 
-    def groups(at: Lift) -> list[Group]:
-        return [
-            Group(walk @ at.lift, walk, unit, None, 0),
-            Group(seen @ at.lift - misfit_m, seen, stated, np.arange(len(node)), 1),
-        ]
+    lift_m: Floats
+    tilt: Floats
+    sigma_m: Floats
+    sigma_tilt: Floats
+    altitude_used: Bools
+    altitude_reason: Strings
+    altitude_residual_m: Floats
+    noise_climb_m: float = float("nan")
+    noise_tilt_rad: float = float("nan")
+    noise_altitude: float = float("nan")
 
-    start = Lift(np.full(n, float(np.median(misfit_m))))
-    solution = adjust(start, groups, _START, _FLOOR, rounds, 0)
-    variance = inverse_on_pattern(solution.lu).diagonal()
-    return solution.state.lift, np.sqrt(variance)
+
+def raised(
+    slam: Trajectory,
+    gnss: GnssTrack,
+    drive: Drive,
+    solved: Solved,
+    grid_scale: float,
+    params: PoseGraphParams,
+) -> Raised:
+    """Lift and tilt of every node after the plane is adjusted; heights stay as SLAM has them where nothing tells.
+
+    grid_scale : metres of the map's plane per metre on the ground, which heights know nothing of
+    """
+    scale = float(np.exp(solved.solution.state.shared[2])) / grid_scale
+    told = told_heights(slam, gnss, drive, solved, params.antenna_up_m, scale)
+    n, nodes = len(drive.node), drive.pose[drive.node]
+    if len(told.fix) == 0:
+        unknown = np.full(n, np.nan)
+        return _with_altitudes(
+            Lifted(np.zeros(n), np.zeros((n, 2)), unknown, unknown, np.empty(0), np.empty(0)), told
+        )
+    xyz_m = np.column_stack([nodes[:, :2], drive.z_m[drive.node]])
+    return _with_altitudes(lifted(xyz_m, solved.known.revisit, scale, told.heights), told)
+
+
+def _with_altitudes(found: Lifted, told: Told) -> Raised:
+    used, residual = np.zeros(len(told.reason), bool), np.full(len(told.reason), np.nan)
+    used[told.fix] = True
+    residual[told.fix] = found.residual_m
+    out = Raised(*found[:4], used, told.reason, residual)
+    if len(told.fix) == 0:
+        return out
+    noise = found.scale[[CLIMB, TILT, ALTITUDE]].tolist()
+    return out._replace(noise_climb_m=noise[0], noise_tilt_rad=noise[1], noise_altitude=noise[2])

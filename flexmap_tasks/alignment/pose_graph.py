@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from flexmap_tasks.alignment.drive import Drive, drive_of
-from flexmap_tasks.alignment.height import lifted
+from flexmap_tasks.alignment.height import Raised, raised
 from flexmap_tasks.alignment.observations import ACROSS, ALONG, GNSS, YAW
 from flexmap_tasks.alignment.plausible import refuse_other_drive, refuse_steep, refuse_still, refuse_unsure
 from flexmap_tasks.alignment.revisits import passes
@@ -56,14 +56,14 @@ def pose_graph(
         drive, gnss, first_stamp(slam), float(np.log(projection.grid_scale_factor)), control, params
     )
     refuse_other_drive(drive, solved)
-    lift, sigma_up = _heights(slam, gnss, drive, solved, params.antenna_up_m)
-    nodes = _nodes(drive, solved, lift, sigma_up)
+    up = raised(slam, gnss, drive, solved, projection.grid_scale_factor, params)
+    nodes = _nodes(drive, solved, up)
     refuse_unsure(nodes.sigma_m[:, :2])
     return PoseGraph(
         _motion(solved),
         nodes,
-        _figures(drive, solved, params.revisit_radius_m),
-        _use(gnss, solved),
+        _figures(drive, solved, up, params.revisit_radius_m),
+        _use(gnss, solved, up),
     )
 
 
@@ -154,26 +154,7 @@ def _motion(solved: Solved) -> RigidMotion:
     return RigidMotion(fit.rotation, fit.translation, 1.0, fit.scale, fit.rmse)
 
 
-def _heights(
-    slam: Trajectory, gnss: GnssTrack, drive: Drive, solved: Solved, antenna_up_m: float
-) -> tuple[Floats, Floats]:
-    """Lift of every node, zero where no fix in use has an altitude, and its standard deviation."""
-    n = len(drive.node)
-    index = solved.line.fix[solved.found.line_row]
-    altitude = gnss.xyz_m[index, 2] - antenna_up_m
-    known = np.isfinite(altitude)
-    if not known.any():
-        return np.zeros(n), np.full(n, np.nan)
-    node, row = solved.found.fix.node[known], drive.node[solved.found.fix.node[known]]
-    slam_z = slam.xyz_m[row, 2]
-    if solved.timed and slam.stamp_ns is not None and gnss.stamp_ns is not None and drive.stamp_s is not None:
-        at = (gnss.stamp_ns[index[known]] - slam.stamp_ns[0]) * 1e-9 + solved.solution.state.shared[3]
-        slam_z = np.interp(at, drive.stamp_s, drive.z_m)
-    step = steps_m(drive.pose[drive.node, :2])
-    return lifted(step, node, altitude[known] - slam_z, gnss.sigma_m[index[known], 2])
-
-
-def _nodes(drive: Drive, solved: Solved, lift: Floats, sigma_up: Floats) -> GraphNodes:
+def _nodes(drive: Drive, solved: Solved, up: Raised) -> GraphNodes:
     row, state = drive.node, solved.solution.state
     source, z = drive.pose[row], drive.z_m[row]
     inverse = inverse_on_pattern(solved.solution.lu)
@@ -184,15 +165,17 @@ def _nodes(drive: Drive, solved: Solved, lift: Floats, sigma_up: Floats) -> Grap
         row=row.astype(np.int64),
         source_xyz_m=np.column_stack([source[:, :2], z]),
         source_yaw_rad=source[:, 2],
-        xyz_m=np.column_stack([state.pose[:, :2], z + lift]),
+        xyz_m=np.column_stack([state.pose[:, :2], z + up.lift_m]),
         yaw_rad=wrapped(state.pose[:, 2]),
-        sigma_m=np.column_stack([np.sqrt(variance[:, :2]), sigma_up]),
+        sigma_m=np.column_stack([np.sqrt(variance[:, :2]), up.sigma_m]),
         covariance_en_m2=covariance,
         sigma_yaw_rad=np.sqrt(variance[:, 2]),
+        tilt_xy_rad=up.tilt,
+        sigma_tilt_rad=up.sigma_tilt,
     )
 
 
-def _figures(drive: Drive, solved: Solved, radius_m: float) -> GraphFigures:
+def _figures(drive: Drive, solved: Solved, up: Raised, radius_m: float) -> GraphFigures:
     state, scale = solved.solution.state, solved.solution.scale
     shared = state.shared.tolist()
     variance = inverse_on_pattern(solved.solution.lu).diagonal()[-4:]
@@ -214,6 +197,9 @@ def _figures(drive: Drive, solved: Solved, radius_m: float) -> GraphFigures:
         revisit_edges=len(solved.known.revisit.first),
         revisit_agreement=_agreement(solved, state),
         revisit_disagreement_m=_disagreement(drive, state, radius_m),
+        noise_climb_m=up.noise_climb_m,
+        noise_tilt_rad=up.noise_tilt_rad,
+        noise_altitude=up.noise_altitude,
     )
 
 
@@ -235,7 +221,7 @@ def _agreement(solved: Solved, state: State) -> float:
     return float((np.hypot(gap[:, 0], gap[:, 1]) < limit).mean())
 
 
-def _use(gnss: GnssTrack, solved: Solved) -> GnssUse:
+def _use(gnss: GnssTrack, solved: Solved, up: Raised) -> GnssUse:
     used, residual = np.zeros(len(gnss), bool), np.full(len(gnss), np.nan)
     index = solved.line.fix[solved.found.line_row]
     from_group = solved.solution.groups[GNSS]
@@ -243,7 +229,15 @@ def _use(gnss: GnssTrack, solved: Solved) -> GnssUse:
     used[solved.line.fix] = True
     used[solved.reason != ""] = False
     residual[index] = np.hypot(*after.reshape(-1, 2).T) if solved.timed else np.abs(after)
-    return GnssUse(gnss.row, used, solved.reason, residual)
+    return GnssUse(
+        gnss.row,
+        used,
+        solved.reason,
+        residual,
+        up.altitude_used,
+        up.altitude_reason,
+        up.altitude_residual_m,
+    )
 
 
 def _refuse_folds(warp: Warp, nodes: GraphNodes) -> None:

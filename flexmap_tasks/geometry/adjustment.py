@@ -19,7 +19,7 @@ from flexmap_tasks.geometry.normal_equations import Factor, factor, inverse_on_p
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
-_CAUCHY = 2.385
+KERNEL = 2.385
 """Kernel width at which Cauchy keeps 95 % efficiency on Gaussian noise (Holland and Welsch 1977)."""
 
 
@@ -107,7 +107,7 @@ def _weights(group: Group, scale: float) -> Floats:
     square = (group.residual / (group.unit * scale)) ** 2
     members = np.bincount(group.robust)
     mean = np.bincount(group.robust, square) / np.maximum(members, 1)
-    weight: Floats = (1.0 / (1.0 + mean / _CAUCHY**2))[group.robust]
+    weight: Floats = (1.0 / (1.0 + mean / KERNEL**2))[group.robust]
     return weight
 
 

@@ -17,6 +17,8 @@ class GraphNodes:
     xyz_m : (n, 3) float64, where it lies in the map frame; yaw_rad : (n,) its heading there
     sigma_m : (n, 3) float64, predicted standard deviation: east, north, up (NaN without altitude)
     covariance_en_m2 : (n,) float64, of east and north; sigma_yaw_rad : (n,) float64
+    tilt_xy_rad : (n, 2) float64, roll and pitch corrected: slope added along x and y of the SLAM frame
+    sigma_tilt_rad : (n,) float64, its standard deviation per axis (NaN without altitude)
     """
 
     row: Ints
@@ -27,6 +29,8 @@ class GraphNodes:
     sigma_m: Floats
     covariance_en_m2: Floats
     sigma_yaw_rad: Floats
+    tilt_xy_rad: Floats
+    sigma_tilt_rad: Floats
 
     def __len__(self) -> int:
         return len(self.row)
@@ -44,6 +48,8 @@ class GraphFigures:
     revisit_edges : pairs of poses on different passes of one place; their share that the graph agrees with
     revisit_disagreement_m : what nine of ten passes stay under: how far the graph has a pass from where SLAM saw it
     from another pass of the same place; 0 without such places
+    noise_climb_m, noise_tilt_rad : of SLAM's height, and of its roll and pitch, over 3 m; noise_altitude : factor on
+    the stated sigmas of altitudes; NaN without altitudes
     """
 
     timed: bool
@@ -62,6 +68,9 @@ class GraphFigures:
     revisit_edges: int
     revisit_agreement: float
     revisit_disagreement_m: float
+    noise_climb_m: float
+    noise_tilt_rad: float
+    noise_altitude: float
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -71,12 +80,18 @@ class GnssUse:
     row : (n,) int64, row in the recording; used : (n,) bool
     reason : (n,) str, why it was left out, "" where it was used
     residual_m : (n,) float64, distance from the adjusted antenna track where used, else NaN
+    altitude_used : (n,) bool; altitude_reason : (n,) str, why the altitude of a fix in use was left out, or that its
+    stretch counts with an unknown offset; altitude_residual_m : (n,) float64, adjusted height less altitude where it
+    was used, else NaN
     """
 
     row: Ints
     used: Bools
     reason: Strings
     residual_m: Floats
+    altitude_used: Bools
+    altitude_reason: Strings
+    altitude_residual_m: Floats
 
     def __len__(self) -> int:
         return len(self.row)

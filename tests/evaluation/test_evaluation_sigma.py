@@ -15,7 +15,7 @@ def nodes(sigma_m: np.ndarray) -> GraphNodes:
     n = len(sigma_m)
     xyz, zero = np.column_stack([5.0 * np.arange(n), np.zeros((n, 2))]), np.zeros(n)
     sigma = np.column_stack([sigma_m, sigma_m, zero])
-    return GraphNodes(10 * np.arange(n), xyz, zero, xyz, zero, sigma, zero, zero)
+    return GraphNodes(10 * np.arange(n), xyz, zero, xyz, zero, sigma, zero, zero, xyz[:, :2], zero)
 
 
 @pytest.mark.parametrize(
