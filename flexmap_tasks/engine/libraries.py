@@ -5,7 +5,19 @@ from __future__ import annotations
 import functools
 from importlib.metadata import version
 
-LIBRARIES = ("numpy", "scipy", "pyproj", "shapely", "numba", "pyarrow", "lxml", "osmium", "mcap", "PyYAML")
+LIBRARIES = (
+    "numpy",
+    "scipy",
+    "pyproj",
+    "shapely",
+    "numba",
+    "pyarrow",
+    "lxml",
+    "osmium",
+    "mcap",
+    "orjson",
+    "PyYAML",
+)
 """Libraries that can change the numbers or the bytes of a result."""
 
 

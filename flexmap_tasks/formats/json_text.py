@@ -6,34 +6,25 @@ import json
 from typing import Any
 
 import numpy as np
+import orjson
 from numpy.typing import NDArray
 
 from flexmap_tasks.formats.clean_text import clean
 
 
 def json_texts(column: NDArray[Any], *, missing: bool = False) -> list[str]:
-    """The (n,) numbers, bools or words of a column, as `json.dumps` writes them; words cleaned, None as null.
+    """The (n,) numbers, bools or words of a column as JSON; words cleaned, None as null.
 
     missing : write NaN as null; otherwise a number that JSON does not know raises ValueError
     """
-    values = column.tolist()
-    if column.dtype.kind == "f":
-        return _numbers(column, values, missing=missing)
-    if column.dtype.kind == "b":
-        return ["true" if v else "false" for v in values]
-    if column.dtype.kind in "iu":
-        return list(map(str, values))
-    known = {v: _word(v) for v in set(values)}
-    return [known[v] for v in values]
-
-
-def _numbers(column: NDArray[Any], values: list[float], *, missing: bool) -> list[str]:
-    texts = list(map(repr, values))
-    for i in np.flatnonzero(~np.isfinite(column)).tolist():
-        if not (missing and np.isnan(column[i])):
-            raise ValueError(f"JSON has no number for {values[i]}")
-        texts[i] = "null"
-    return texts
+    if column.dtype == object:
+        values = column.tolist()
+        known = {v: _word(v) for v in set(values)}
+        return [known[v] for v in values]
+    if column.dtype.kind == "f" and not np.isfinite(column[~np.isnan(column)] if missing else column).all():
+        raise ValueError("JSON has no infinite numbers" if missing else "JSON has only finite numbers")
+    text = orjson.dumps(np.ascontiguousarray(column), option=orjson.OPT_SERIALIZE_NUMPY)
+    return text[1:-1].decode().split(",") if len(column) else []
 
 
 def _word(value: Any) -> str:

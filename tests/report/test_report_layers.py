@@ -243,7 +243,7 @@ def test_geojson_is_what_a_json_library_writes() -> None:
         assert read["name"] == "%s"
         for i, row in enumerate(text.split("\n")[1:-2]):
             feature = read["features"][i]
-            assert row.rstrip(",") == json.dumps(feature, ensure_ascii=False, separators=(",", ":"))
+            assert json.loads(row.rstrip(",")) == feature  # a line each
             assert feature["properties"] == {
                 '100 % "sure"': [words[0], None, "a\ufffd\ufffdb\n"][i],
                 "m": [0.1, None, 1e-7][i],
@@ -257,8 +257,8 @@ def test_geojson_is_what_a_json_library_writes() -> None:
 
 def test_a_number_that_json_does_not_know_is_no_feature() -> None:
     layer = VectorLayer("x", "Point", shapely.points([[1.0, 2.0]]), {"m": np.array([np.inf])})
-    with pytest.raises(ValueError, match="no number for inf"):
+    with pytest.raises(ValueError, match="no infinite numbers"):
         geojson(layer)
     nowhere = VectorLayer("x", "Point", shapely.points([[np.nan, 2.0]]), {})
-    with pytest.raises(ValueError, match="no number for nan"):
+    with pytest.raises(ValueError, match="only finite numbers"):
         geojson(nowhere)
