@@ -159,7 +159,7 @@ class Engine:
         others = {n: b for n, b in bound.items() if n != node.each}
         values = {n: self.load(b, input_types(node.stage)[n]) for n, b in others.items()}
 
-        jobs = [prepare(node, key, item, others, values) for key, item in items.items()]
+        jobs = [prepare(node, image, key, item, others, values) for key, item in items.items()]
         done = dict(enumerate(self.store.map(self._find_item, jobs)))
         found = {i: record for i, record in done.items() if record is not None}
         missing = [i for i in done if i not in found]

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from flexmap_tasks.config import Params
-from flexmap_tasks.engine.keys import input_types, preimage
+from flexmap_tasks.engine.keys import input_types
 from flexmap_tasks.engine.stage import AnyStage
 from flexmap_tasks.formats.artifacts import decode
 from flexmap_tasks.store.artifact import Artifact, Blob, canonical_json, digest_of
@@ -55,16 +55,18 @@ ItemRunner = Callable[["Engine", ItemStage, Sequence[ItemJob]], Iterator[tuple[i
 
 
 def prepare(
-    node: Node, key: str, item: Artifact, others: Mapping[str, Bound], values: Mapping[str, Any]
-) -> ItemJob:
-    """The job of one item, with its other inputs restricted to what concerns it."""
+    node: Node, image: Mapping[str, Any], key: str, item: Artifact, others: Mapping[str, Bound],
+    values: Mapping[str, Any],
+) -> ItemJob:  # fmt: skip
+    """The job of one item, with its other inputs restricted to what concerns it; `image` is the whole node's."""
     own = dict(node.narrow(key, values)) if node.narrow is not None else {}
     shared = {name: bound for name, bound in others.items() if name not in own}
     digests = {name: bound.digest for name, bound in others.items()}
     digests |= {name: digest_of(canonical_json(_told(value))) for name, value in own.items()}
     each = str(node.each)
-    image = preimage(node.stage, node.params, {**digests, each: _rename(item, key, each).digest})
-    return ItemJob(key, image, item, shared, own)
+    mine = {name: part for name, part in image.items() if name != "each"}
+    mine["inputs"] = {**digests, each: _rename(item, key, each).digest}
+    return ItemJob(key, mine, item, shared, own)
 
 
 def compute_item(engine: Engine, of: ItemStage, job: ItemJob) -> ActionRecord:

@@ -85,7 +85,8 @@ def _deviations(
     """Before: after the rigid start alone. Which poses have valid GNSS is seen from where the warp puts them."""
     after = deviation(after_m, gnss)
     before = deviation(warp.motion.apply_xy(slam.xyz_m[:, :2]), gnss)
-    valid = deviation(warp.apply(slam.xyz_m), gnss).valid
+    poses_m = warp.apply(slam.xyz_m)
+    valid = after.valid if np.array_equal(poses_m, after_m) else deviation(poses_m, gnss).valid
     yield _count("poses", np.ones(len(slam), dtype=bool))
     yield _count("poses_with_valid_gnss", valid)
     yield from measures_of("deviation_before_all", before.distance_m)

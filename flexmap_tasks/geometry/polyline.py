@@ -96,21 +96,21 @@ def _boxes(ends):  # type: ignore[no-untyped-def]  # pragma: no cover
 
 
 @njit(cache=True)
-def _box_square(box, x, y):  # type: ignore[no-untyped-def]  # pragma: no cover
+def _box_square(left, below, right, above, x, y):  # type: ignore[no-untyped-def]  # pragma: no cover
     """Square of the distance to a box, rounded down."""
-    dx = max(box[0] - x, x - box[2], 0.0)
-    dy = max(box[1] - y, y - box[3], 0.0)
+    dx = max(left - x, x - right, 0.0)
+    dy = max(below - y, y - above, 0.0)
     return (dx * dx + dy * dy) * _ROUNDING
 
 
 @njit(cache=True)
-def _segment_square(end, x, y):  # type: ignore[no-untyped-def]  # pragma: no cover
+def _segment_square(x0, y0, x1, y1, x, y):  # type: ignore[no-untyped-def]  # pragma: no cover
     """Square of the distance to a segment; at its ends exactly that to the vertex, which two segments share."""
-    ex, ey = end[2] - end[0], end[3] - end[1]
-    dx, dy = x - end[0], y - end[1]
+    ex, ey = x1 - x0, y1 - y0
+    dx, dy = x - x0, y - y0
     along, square = dx * ex + dy * ey, ex * ex + ey * ey
     if along >= square > 0.0:
-        dx, dy = x - end[2], y - end[3]
+        dx, dy = x - x1, y - y1
     elif 0.0 < along < square:
         share = along / square
         dx, dy = dx - share * ex, dy - share * ey
@@ -123,27 +123,31 @@ def _nearest(points, ends, boxes):  # type: ignore[no-untyped-def]  # pragma: no
     leaves = len(boxes) // 2
     out = np.empty(len(points), np.int64)
     waiting = np.empty(64, np.int64)
+    at_least = np.empty(64)  # square of the distance to what is waiting
     best = 0
     for n in range(len(points)):
         x, y = points[n, 0], points[n, 1]
-        least = _segment_square(ends[best], x, y)
-        waiting[0] = 1
-        count = 1
+        least = _segment_square(ends[best, 0], ends[best, 1], ends[best, 2], ends[best, 3], x, y)
+        waiting[0], at_least[0], count = 1, 0.0, 1
         while count:
             count -= 1
             node = waiting[count]
-            if not _box_square(boxes[node], x, y) <= least:
+            if not at_least[count] <= least:
                 continue
             if node < leaves:
-                left, right = 2 * node, 2 * node + 1
-                swapped = _box_square(boxes[left], x, y) < _box_square(boxes[right], x, y)
-                waiting[count] = right if swapped else left
-                waiting[count + 1] = left if swapped else right
-                count += 2
+                a, b = 2 * node, 2 * node + 1
+                to_a = _box_square(boxes[a, 0], boxes[a, 1], boxes[a, 2], boxes[a, 3], x, y)
+                to_b = _box_square(boxes[b, 0], boxes[b, 1], boxes[b, 2], boxes[b, 3], x, y)
+                if to_a < to_b:  # the nearer one is asked next
+                    a, b, to_a, to_b = b, a, to_b, to_a
+                if to_a <= least:
+                    waiting[count], at_least[count], count = a, to_a, count + 1
+                if to_b <= least:
+                    waiting[count], at_least[count], count = b, to_b, count + 1
                 continue
             first = (node - leaves) * _RUN
             for k in range(first, min(first + _RUN, len(ends))):
-                square = _segment_square(ends[k], x, y)
+                square = _segment_square(ends[k, 0], ends[k, 1], ends[k, 2], ends[k, 3], x, y)
                 if square < least or (square == least and k < best):
                     least, best = square, k
         out[n] = best

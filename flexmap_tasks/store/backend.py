@@ -135,8 +135,8 @@ class FolderBackend:
     def renew(self, key: str) -> None:
         """See Backend. What another user wrote, or a store that is read-only, stays as old as it is."""
         with contextlib.suppress(OSError):
-            path = self.root / key
-            if time.time() - path.stat().st_mtime > RENEW_AFTER_S:
+            path = f"{self.url}/{key}"  # asked of every blob, as in _stat
+            if time.time() - os.stat(path).st_mtime > RENEW_AFTER_S:  # noqa: PTH116
                 os.utime(path)
 
     def entries(self, folder: str) -> Iterator[Entry]:

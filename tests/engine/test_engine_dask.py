@@ -83,7 +83,8 @@ def test_a_worker_with_other_code_refuses(numbers, tmp_path):
         n: engine.bind(ref, {k: o.artifact for k, o in outcomes.items()}) for n, ref in node.inputs.items()
     }
     item = bound["item"].artifact.sub("parts/").items()["even"]
-    job = prepare(node, "even", item, {"offset": bound["offset"]}, {"offset": toy.Numbers(toy.np.zeros(1))})
+    image, offset = engine.image(node, bound), {"offset": toy.Numbers(toy.np.zeros(1))}
+    job = prepare(node, image, "even", item, {"offset": bound["offset"]}, offset)
     remote = RemoteJob(str(tmp_path / "store"), "toy", "shift", None, "item", job)
     assert compute_there(remote).output.files
     other = replace(job, image={**job.image, "code": {**job.image["code"], "toy": "0" * 64}})
