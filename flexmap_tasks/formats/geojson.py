@@ -8,7 +8,7 @@ from itertools import pairwise
 import numpy as np
 import shapely
 
-from flexmap_tasks.formats.json_text import json_texts
+from flexmap_tasks.formats.json_text import SLOT, json_rows, json_texts
 from flexmap_tasks.model.layers import VectorLayer
 
 DECIMALS = 8
@@ -17,13 +17,14 @@ DECIMALS = 8
 
 def geojson(layer: VectorLayer) -> bytes:
     """One feature per line, so that two versions can be compared by eye."""
-    named = [json.dumps(name).replace("%", "%%") + ":%s" for name in layer.columns]
-    feature = (
-        f'{{"type":"Feature","geometry":{{"type":"{layer.kind}","coordinates":%s}},'
-        f'"properties":{{{",".join(named)}}}}}'
-    )
+    named = ",".join(f"{json.dumps(name)}:{SLOT}" for name in layer.columns)
+    geometry = f'{{"type":"{layer.kind}","coordinates":{SLOT}}}'
     properties = (json_texts(column, missing=True) for column in layer.columns.values())
-    rows = [feature % row for row in zip(_coordinates(layer), *properties, strict=True)]
+    rows = json_rows(
+        f'{{"type":"Feature","geometry":{geometry},"properties":{{{named}}}}}',
+        _coordinates(layer),
+        *properties,
+    )
     name, body = json.dumps(layer.name), ",\n".join(rows)
     return f'{{"type":"FeatureCollection","name":{name},"features":[\n{body}\n]}}\n'.encode()
 
@@ -33,7 +34,7 @@ def _coordinates(layer: VectorLayer) -> list[str]:
     geometry = shapely.orient_polygons(layer.geometry) if layer.kind == "Polygon" else layer.geometry
     flat, row = shapely.get_coordinates(geometry, return_index=True)
     flat = np.round(flat, DECIMALS)
-    places = [f"[{x},{y}]" for x, y in zip(json_texts(flat[:, 0]), json_texts(flat[:, 1]), strict=True)]
+    places = json_rows(f"[{SLOT},{SLOT}]", json_texts(flat[:, 0]), json_texts(flat[:, 1]))
     if layer.kind == "Point":
         return places
     starts = np.searchsorted(row, np.arange(len(layer) + 1)).tolist()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from itertools import repeat
 from typing import Any
 
 import numpy as np
@@ -10,6 +11,18 @@ import orjson
 from numpy.typing import NDArray
 
 from flexmap_tasks.formats.clean_text import clean
+
+SLOT = "\0"
+"""Where a template of a row takes a text; JSON itself has no such character."""
+
+
+def json_rows(template: str, *columns: list[str]) -> list[str]:
+    """The template once per row, with the row's text of each column in its slot."""
+    if len({len(column) for column in columns}) != 1:
+        raise ValueError("the columns of a table have one length")
+    first, *rest = template.split(SLOT)
+    between = (part for column, text in zip(columns, rest, strict=True) for part in (column, repeat(text)))
+    return list(map("".join, zip(repeat(first), *between, strict=False)))
 
 
 def json_texts(column: NDArray[Any], *, missing: bool = False) -> list[str]:

@@ -4,18 +4,18 @@ from __future__ import annotations
 
 import io
 import json
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 
-from flexmap_tasks.formats.json_text import json_texts
+from flexmap_tasks.formats.json_text import SLOT, json_rows, json_texts
 from flexmap_tasks.formats.mcap_file import McapFile
 from flexmap_tasks.model.arrays import Floats, Ints
 
 NS_PER_S = 1_000_000_000
-Message = tuple[int, str]
-"""(log time in ns, message as JSON)."""
+Messages = tuple[Ints, list[str]]
+"""(n,) log times in ns, ascending, and as many messages as JSON."""
 
 _NUMBER, _TEXT = {"type": "number"}, {"type": "string"}
 _TIME = {
@@ -62,68 +62,62 @@ COVARIANCE_UNKNOWN, COVARIANCE_DIAGONAL = 0, 2
 LINE_LIST = 2
 
 
-def foxglove_mcap(topics: Mapping[str, tuple[str, Iterable[Message]]]) -> bytes:
-    """Topics {name: (schema, messages in the order of their log time)}; same messages, same bytes."""
+def foxglove_mcap(topics: Mapping[str, tuple[str, Messages]]) -> bytes:
+    """Topics {name: (schema, messages)}; same messages, same bytes."""
     stream = io.BytesIO()
     file = McapFile(stream, "")
-    for name, (kind, messages) in topics.items():
+    for name, (kind, (log_ns, texts)) in topics.items():
         schema = {"type": "object", "title": kind, "properties": SCHEMAS[kind]}
         number = file.schema(kind, "jsonschema", json.dumps(schema, sort_keys=True).encode())
         channel = file.channel(name, "json", number, {})
-        log_ns, texts = zip(*messages, strict=True) if (messages := list(messages)) else ((), ())
-        file.messages(
-            np.full(len(texts), channel), np.array(log_ns, np.int64), np.arange(len(texts)),
-            [text.encode() for text in texts],
-        )  # fmt: skip
+        count = len(texts)
+        file.messages(np.full(count, channel), log_ns, np.arange(count), [text.encode() for text in texts])
     file.finish()
     return stream.getvalue()
 
 
 def location_fixes(
     stamp_ns: Ints, lonlat_deg: Floats, alt_m: Floats, sigma_m: Floats, frame_id: str
-) -> Iterator[Message]:
+) -> Messages:
     """foxglove.LocationFix; the altitude is left out where it is NaN."""
     known, high = np.asarray(np.isfinite(sigma_m).all(axis=1)), np.isfinite(alt_m)
     variance = np.where(known[:, None], sigma_m, 0.0) ** 2
     kind = np.where(known, COVARIANCE_DIAGONAL, COVARIANCE_UNKNOWN)
-    altitude = [
-        f',"altitude":{alt}' if h else "" for alt, h in zip(alt_m.tolist(), high.tolist(), strict=True)
-    ]
+    up = json_texts(np.where(high, alt_m, 0.0))
+    altitude = [f',"altitude":{text}' if h else "" for text, h in zip(up, high.tolist(), strict=True)]
     columns = [lonlat_deg[:, 1], lonlat_deg[:, 0], *variance.T, kind]
-    return _messages(
-        stamp_ns,
-        f'{{"timestamp":{{"sec":%d,"nsec":%d}},"frame_id":"{frame_id}","latitude":%s,"longitude":%s,'
-        '"position_covariance":[%s,0,0,0,%s,0,0,0,%s],"position_covariance_type":%s%s}',
-        *map(json_texts, columns),
-        altitude,
+    template = (
+        f'{{{_stamp(frame_id)},"latitude":{SLOT},"longitude":{SLOT},"position_covariance":'
+        f'[{SLOT},0,0,0,{SLOT},0,0,0,{SLOT}],"position_covariance_type":{SLOT}{SLOT}}}'
     )
+    return stamp_ns, json_rows(template, *_stamps(stamp_ns), *map(json_texts, columns), altitude)
 
 
-def poses_in_frame(stamp_ns: Ints, xyz_m: Floats, quaternion: Floats, frame_id: str) -> Iterator[Message]:
+def poses_in_frame(stamp_ns: Ints, xyz_m: Floats, quaternion: Floats, frame_id: str) -> Messages:
     """foxglove.PoseInFrame; quaternion (n, 4) x y z w."""
-    return _messages(
-        stamp_ns,
-        f'{{"timestamp":{{"sec":%d,"nsec":%d}},"frame_id":"{frame_id}",'
-        '"pose":{"position":{"x":%s,"y":%s,"z":%s},"orientation":{"x":%s,"y":%s,"z":%s,"w":%s}}}',
-        *map(json_texts, [*xyz_m.T, *quaternion.T]),
+    x, y, z, w = (f'"{axis}":{SLOT}' for axis in "xyzw")
+    template = (
+        f'{{{_stamp(frame_id)},"pose":{{"position":{{{x},{y},{z}}},"orientation":{{{x},{y},{z},{w}}}}}}}'
     )
+    return stamp_ns, json_rows(template, *_stamps(stamp_ns), *map(json_texts, [*xyz_m.T, *quaternion.T]))
 
 
-def _messages(stamp_ns: Ints, template: str, *texts: list[str]) -> Iterator[Message]:
-    """A message per time: the template with its second, nanosecond and texts."""
-    seconds, nanoseconds = (stamp_ns // NS_PER_S).tolist(), (stamp_ns % NS_PER_S).tolist()
-    for ns, *row in zip(stamp_ns.tolist(), seconds, nanoseconds, *texts, strict=True):
-        yield ns, template % tuple(row)
+def _stamp(frame_id: str) -> str:
+    return f'"timestamp":{{"sec":{SLOT},"nsec":{SLOT}}},"frame_id":{json.dumps(frame_id)}'
 
 
-def whole(log_ns: int, message: Mapping[str, Any]) -> Message:
+def _stamps(stamp_ns: Ints) -> tuple[list[str], list[str]]:
+    return json_texts(stamp_ns // NS_PER_S), json_texts(stamp_ns % NS_PER_S)
+
+
+def alone(log_ns: int, message: Mapping[str, Any]) -> Messages:
     """A message that stands alone."""
-    return log_ns, json.dumps(message, separators=(",", ":"), allow_nan=False)
+    return np.array([log_ns]), [json.dumps(message, separators=(",", ":"), allow_nan=False)]
 
 
 def scene_lines(
     log_ns: int, frame_id: str, entities: Mapping[str, tuple[Floats, tuple[float, float, float, float]]]
-) -> Message:
+) -> Messages:
     """foxglove.SceneUpdate: per entity segments (n, 2, 3) in metres and a colour r, g, b, a of 0..1."""
     still = {"position": dict.fromkeys("xyz", 0.0), "orientation": {"x": 0.0, "y": 0.0, "z": 0.0, "w": 1.0}}
     out = []
@@ -138,7 +132,7 @@ def scene_lines(
             "frame_locked": False, "lines": [line],
         }  # fmt: skip
         out.append(entity)
-    return whole(log_ns, {"entities": out})
+    return alone(log_ns, {"entities": out})
 
 
 def _time(ns: int) -> dict[str, int]:

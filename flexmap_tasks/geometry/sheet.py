@@ -73,7 +73,10 @@ def affine_maps(source: Floats, target: Floats) -> Floats:
 def move(mesh: Mesh, xyz_m: Floats) -> Floats:
     """(n, 3) points moved by the mesh; z is kept."""
     out = np.empty((len(xyz_m), 3))
-    _run(mesh, np.ascontiguousarray(xyz_m), out, np.empty(0, np.int64))
+    if len(mesh.halfplanes):
+        _run(mesh, np.ascontiguousarray(xyz_m), out, np.empty(0, np.int64))
+    else:
+        _move_alike(mesh.affine.ravel(), np.ascontiguousarray(xyz_m), out)
     return out
 
 
@@ -153,4 +156,14 @@ def _move(affine, planes, frame, nx, ny, cell, lists, line, pick, xyz, out, foun
         k = np.uint64(6) * np.uint64(t)
         out[n, 0] = affine[k] * x + affine[k + np.uint64(1)] * y + affine[k + np.uint64(2)]
         out[n, 1] = affine[k + np.uint64(3)] * x + affine[k + np.uint64(4)] * y + affine[k + np.uint64(5)]
+        out[n, 2] = xyz[n, 2]
+
+
+@njit(cache=True, nogil=True)
+def _move_alike(affine, xyz, out):  # type: ignore[no-untyped-def]  # pragma: no cover
+    """Apply one affine map to all points."""
+    for n in range(len(xyz)):
+        x, y = xyz[n, 0], xyz[n, 1]
+        out[n, 0] = affine[0] * x + affine[1] * y + affine[2]
+        out[n, 1] = affine[3] * x + affine[4] * y + affine[5]
         out[n, 2] = xyz[n, 2]

@@ -2,19 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-
 import numpy as np
 import shapely
 
 from flexmap_tasks.formats.geojson import geojson
 from flexmap_tasks.formats.mcap_foxglove_write import (
-    Message,
+    Messages,
+    alone,
     foxglove_mcap,
     location_fixes,
     poses_in_frame,
     scene_lines,
-    whole,
 )
 from flexmap_tasks.model.arrays import Floats, Ints
 from flexmap_tasks.model.conflation import LaneCheck
@@ -53,7 +51,7 @@ def foxglove_recording(
     fixes = location_fixes(
         fix_ns, projection.to_lonlat_deg(gnss.xyz_m[:, :2]), gnss.xyz_m[:, 2], gnss.sigma_m, FRAME
     )
-    topics: dict[str, tuple[str, Iterable[Message]]] = {
+    topics: dict[str, tuple[str, Messages]] = {
         "/gnss": ("foxglove.LocationFix", fixes),
         "/slam/rigid_start": (
             "foxglove.PoseInFrame",
@@ -67,8 +65,8 @@ def foxglove_recording(
     if lanelets is not None:
         first_ns = int(min([*fix_ns[:1].tolist(), *pose_ns[:1].tolist()], default=0))
         lanes, check, layer = lanelets
-        topics["/map/lanelets"] = ("foxglove.SceneUpdate", [_scene(first_ns, lanes, check)])
-        topics["/map/geojson"] = ("foxglove.GeoJSON", [whole(first_ns, {"geojson": geojson(layer).decode()})])
+        topics["/map/lanelets"] = ("foxglove.SceneUpdate", _scene(first_ns, lanes, check))
+        topics["/map/geojson"] = ("foxglove.GeoJSON", alone(first_ns, {"geojson": geojson(layer).decode()}))
     return foxglove_mcap(topics)
 
 
@@ -76,7 +74,7 @@ def _times(stamp_ns: Ints | None, count: int) -> Ints:
     return np.arange(1, count + 1, dtype=np.int64) * STEP_NS if stamp_ns is None else stamp_ns
 
 
-def _scene(log_ns: int, lanes: Lanes, check: LaneCheck | None) -> Message:
+def _scene(log_ns: int, lanes: Lanes, check: LaneCheck | None) -> Messages:
     verdict = np.full(len(lanes.id), "unknown", dtype=object)
     if check is not None:
         row = rows_of(check.lanelet_id, lanes.id)

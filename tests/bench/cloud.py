@@ -45,7 +45,7 @@ def run() -> None:
 
     def row(name: str, what: str) -> tuple[str, str, str]:
         wall, cpu = found[f"{name}_wall_s"], found[f"{name}_cpu_s"]
-        return what, f"{wall:.1f} s, CPU {cpu:.1f} s = {million / max(cpu, 1e-9):.2f} Mpt/s of CPU", ""
+        return what, f"{wall:.1f} s on the clock, {cpu:.1f} s CPU = {million / max(cpu, 1e-9):.1f} Mpt/s", ""
 
     show(
         f"A cloud of {million:.0f} million points (x y z intensity ring), tiled and warped",
@@ -53,9 +53,9 @@ def run() -> None:
             row("tile", "read, tiled, stored as Parquet"),
             row("warp", "warped and cut, stored"),
             row("merge", "merged into PCD tiles, stored"),
-            row("read", "of that, reading the file alone"),
-            row("write", "of that, writing as many bytes as the store holds"),
-            ("tiles in, tiles out", f"{found['tiles_in']:.0f}, {found['tiles_out']:.0f}", ""),
+            row("read", "beside it: reading the file alone"),
+            row("write", "beside it: writing as many bytes as the store holds, without sync"),
+            ("tiles of the SLAM frame, of the map", f"{found['tiles_in']:.0f}, {found['tiles_out']:.0f}", ""),
             ("store", f"{found['store_gb']:.2f} GB for {found['cloud_gb']:.2f} GB of PCD", ""),
             ("memory at most", f"{found['peak_gb']:.2f} GB", f"under {MEMORY_GOAL_GB:g} GB"),
         ],

@@ -14,6 +14,8 @@ from tests.bench.measure import PROJECT, best_cpu_s, show
 PEER_CPU_S = 13.0
 """The original on the same data and another machine (REFERENCE.md): not measured in this run."""
 
+GOAL = 0.2
+
 
 def run() -> None:
     """The whole route into an empty store."""
@@ -26,9 +28,17 @@ def run() -> None:
 
     cpu = best_cpu_s(whole)
     show(
-        "Garching, recording to finished map, empty store",
+        "Garching by the paper's methods, recording to finished map, empty store",
         [
-            ("CPU", f"{cpu:.2f} s", ""),
-            ("share of the peer's 13 s", f"{cpu / PEER_CPU_S:.2f}", "at most 0.20"),
+            (
+                "FlexMap, in a process that has loaded its code",
+                f"{cpu:.2f} s CPU",
+                f"at most {GOAL * PEER_CPU_S:.1f} s",
+            ),
+            (
+                "beside the original's 13 s on another machine",
+                f"{cpu / PEER_CPU_S:.0%}",
+                f"at most {GOAL:.0%}",
+            ),
         ],
     )

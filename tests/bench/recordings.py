@@ -69,11 +69,11 @@ def _columns(file: Path) -> None:
     show(
         f"MCAP with {MESSAGES:,} NavSatFix and Odometry messages into Parquet columns",
         [
-            ("FlexMap", f"{MESSAGES / mine:,.0f} messages/s", f"at least {COLUMNS_PER_S:,}"),
+            ("FlexMap", f"{MESSAGES / mine:,.0f} messages/s", f"at least {COLUMNS_PER_S:,} messages/s"),
             ("rosbags, into a list", f"{MESSAGES / theirs:,.0f} messages/s", ""),
             ("mcap_ros2, into a list", f"{MESSAGES / other:,.0f} messages/s", ""),
-            ("times rosbags", f"{theirs / mine:.1f}", f"at least {COLUMNS_ROSBAGS}"),
-            ("times mcap_ros2", f"{other / mine:.1f}", f"at least {COLUMNS_MCAP_ROS2}"),
+            ("FlexMap beside rosbags", f"{theirs / mine:.1f} times", f"at least {COLUMNS_ROSBAGS} times"),
+            ("FlexMap beside mcap_ros2", f"{other / mine:.1f} times", f"at least {COLUMNS_MCAP_ROS2} times"),
         ],
     )
 
@@ -122,7 +122,7 @@ def _scans(file: Path) -> None:
             (
                 "FlexMap, points as arrays",
                 f"{size_gb / mine:.2f} GB/s",
-                f"{SCANS_GB_S:g} or more, above rosbags",
+                f"at least {SCANS_GB_S:g} GB/s, above rosbags",
             ),
             ("rosbags, points as arrays", f"{size_gb / theirs:.2f} GB/s", ""),
             ("mcap, bytes of the messages alone", f"{size_gb / bare:.2f} GB/s", ""),

@@ -59,23 +59,39 @@ def _moved(folder: Path, method: str) -> list[tuple[str, str, str]]:
     )
     pairs = folder / "control_points.csv"
     text = pairs.read_text()
-    with tempfile.TemporaryDirectory(prefix="flexmap-bench-") as name:
-        engine = Engine(Store.open(name))
-        cold, outcomes = _timed(engine.store, config)
-        before = _warp(engine, config, outcomes)
-        pairs.write_text(_with_a_pair_moved(text))
-        warm, outcomes = _timed(engine.store, config)
+    try:
+        return _figures(config, text)
+    finally:
         pairs.write_text(text)
-        after = _warp(engine, config, outcomes)
+
+
+def _figures(config: FlexMapConfig, text: str) -> list[tuple[str, str, str]]:
+    """The best of two cold runs, and of two reruns after the pair moved one way and the other."""
+    pairs, method = config.alignment.control_points_file, config.alignment.method
+    assert pairs is not None
+    cold, warm = [], []
+    for shift_m in (MOVED_M, -MOVED_M):
+        with tempfile.TemporaryDirectory(prefix="flexmap-bench-") as name:
+            engine = Engine(Store.open(name))
+            pairs.write_text(text)
+            seconds, outcomes = _timed(engine.store, config)
+            cold.append(seconds)
+            before = _warp(engine, config, outcomes)
+            pairs.write_text(_with_a_pair_moved(text, shift_m))
+            seconds, outcomes = _timed(engine.store, config)
+            warm.append(seconds)
+            after = _warp(engine, config, outcomes)
     tiles, merged = outcomes["warp_tile"], outcomes["merge_tile"]
     moved = sum(
         _apart_m(before, after, key) > NO_CHANGE_M for key in tiles.artifact.sub("warped_tile/").items()
     )
     return [
         (f"{method}: tiles moved by over a millimetre", f"{moved} of {tiles.items}", ""),
-        ("tiles warped anew", f"{tiles.computed} of {tiles.items}", f"{moved}"),
-        ("map tiles written anew", f"{merged.computed} of {merged.items}", ""),
-        ("CPU, beside a cold run", f"{warm:.2f} s = {warm / cold:.0%} of {cold:.1f} s", "at most 10 %"),
+        ("  tiles warped anew", f"{tiles.computed} of {tiles.items}", f"{moved}"),
+        ("  map tiles written anew", f"{merged.computed} of {merged.items}", ""),
+        ("  a run into an empty store", f"{min(cold):.2f} s CPU", ""),
+        ("  the rerun", f"{min(warm):.2f} s CPU", ""),
+        ("  the rerun beside it", f"{min(warm) / min(cold):.1%}", "at most 10 %"),
     ]
 
 
@@ -85,11 +101,11 @@ def _timed(store: Store, config: FlexMapConfig) -> tuple[float, dict[str, Outcom
     return time.process_time() - clock, dict(outcomes)
 
 
-def _with_a_pair_moved(text: str) -> str:
+def _with_a_pair_moved(text: str, shift_m: float) -> str:
     lines = text.splitlines()
     k = len(lines) // 2
     cells = lines[k].split(",")
-    cells[1] = f"{float(cells[1]) + MOVED_M / METRES_PER_DEG:.10f}"
+    cells[1] = f"{float(cells[1]) + shift_m / METRES_PER_DEG:.10f}"
     return "\n".join([*lines[:k], ",".join(cells), *lines[k + 1 :], ""])
 
 
