@@ -28,9 +28,9 @@ class Raised(NamedTuple):
     altitude_used: Bools
     altitude_reason: Strings
     altitude_residual_m: Floats
-    noise_climb_m: float = float("nan")
-    noise_tilt_rad: float = float("nan")
-    noise_altitude: float = float("nan")
+    noise_climb_m: float | None = None
+    noise_tilt_rad: float | None = None
+    noise_altitude: float | None = None
 
 
 def raised(

@@ -49,7 +49,7 @@ class GraphFigures:
     revisit_disagreement_m : what nine of ten passes stay under: how far the graph has a pass from where SLAM saw it
     from another pass of the same place; 0 without such places
     noise_climb_m, noise_tilt_rad : of SLAM's height, and of its roll and pitch, over 3 m; noise_altitude : factor on
-    the stated sigmas of altitudes; NaN without altitudes
+    the stated sigmas of altitudes; None without altitudes
     """
 
     timed: bool
@@ -68,9 +68,9 @@ class GraphFigures:
     revisit_edges: int
     revisit_agreement: float
     revisit_disagreement_m: float
-    noise_climb_m: float
-    noise_tilt_rad: float
-    noise_altitude: float
+    noise_climb_m: float | None
+    noise_tilt_rad: float | None
+    noise_altitude: float | None
 
 
 @dataclass(frozen=True, slots=True, eq=False)

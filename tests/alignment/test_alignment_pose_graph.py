@@ -25,6 +25,7 @@ from flexmap_tasks.config import (
 )
 from flexmap_tasks.errors import AlignmentError
 from flexmap_tasks.evaluation.deviation import deviation
+from flexmap_tasks.formats.artifacts import encode
 from flexmap_tasks.geometry.normal_equations import factor, inverse_on_pattern
 from flexmap_tasks.geometry.polyline import nearest_on_polyline
 from flexmap_tasks.geometry.se2 import rotated
@@ -265,6 +266,14 @@ def test_degenerate_drives_are_refused(plain, what: str) -> None:
         gnss = GnssTrack(xyz, gnss.sigma_m[rows], gnss.status[rows], rows, np.ones(len(rows), bool), None)
     with pytest.raises(AlignmentError, match="needed"):
         pose_graph(slam, gnss, HERE, None, None, PoseGraphParams())
+
+
+def test_a_drive_without_altitudes_can_be_stored(plain) -> None:
+    drive = plain[0]
+    flat = np.column_stack([drive.gnss.xyz_m[:, :2], np.full(len(drive.gnss), np.nan)])
+    graph = solved(drive._replace(gnss=dataclasses.replace(drive.gnss, xyz_m=flat)))
+    assert graph.figures.noise_altitude is None
+    assert b'"noise_climb_m": null' in dict(encode(graph.figures, "figures"))["figures.json"]
 
 
 def test_garching_route(shared_data: Path) -> None:
