@@ -1,8 +1,8 @@
-"""Piecewise affine maps of the plane over a triangle mesh, at the speed of memory.
+"""Piecewise affine maps of the plane over a triangle mesh, for many points.
 
-A uniform grid remembers which triangles touch a cell; most cells lie wholly in one triangle, and their
-points need no test. A point belongs to the first triangle, in the order given, that holds it within
-`EDGE_TOLERANCE_M`: the answer depends neither on the grid's resolution nor on triangles further away.
+A point belongs to the first triangle, in the order given, that holds it within `EDGE_TOLERANCE_M`. The grid
+(`sheet_grid`) only makes finding it fast: the answer depends neither on its resolution nor on triangles
+further away.
 """
 
 from __future__ import annotations
