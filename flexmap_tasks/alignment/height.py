@@ -17,6 +17,7 @@ from flexmap_tasks.model.tracks import GnssTrack, Trajectory
 
 class Raised(NamedTuple):
     """lift_m, tilt, sigma_m, sigma_tilt : of the nodes, see `Lifted`; zero and NaN where no altitude tells
+    scale : metres of height per SLAM metre
 
     altitude_used, altitude_reason, altitude_residual_m : of all fixes, see `GnssUse`; noise_* : see `GraphFigures`
     """
@@ -28,6 +29,7 @@ class Raised(NamedTuple):
     altitude_used: Bools
     altitude_reason: Strings
     altitude_residual_m: Floats
+    scale: float = 1.0
     noise_climb_m: float | None = None
     noise_tilt_rad: float | None = None
     noise_altitude: float | None = None
@@ -54,7 +56,9 @@ def raised(
             Lifted(np.zeros(n), np.zeros((n, 2)), unknown, unknown, np.empty(0), np.empty(0)), told
         )
     xyz_m = np.column_stack([nodes[:, :2], drive.z_m[drive.node]])
-    return _with_altitudes(lifted(xyz_m, solved.known.revisit, scale, told.heights), told)
+    return _with_altitudes(lifted(xyz_m, solved.known.revisit, scale, told.heights), told)._replace(
+        scale=scale
+    )
 
 
 def _with_altitudes(found: Lifted, told: Told) -> Raised:

@@ -86,6 +86,11 @@ def pose_graph_warp(graph: PoseGraph, params: PoseGraphParams, slam: Trajectory 
         sigma_m=_rounded(np.sqrt((nodes.sigma_m[:, :2] ** 2).mean(axis=1)), STEP_M),
         sigma_turn_rad=_rounded(nodes.sigma_yaw_rad, STEP_RAD),
         blend_m=np.full(len(nodes), params.blend_sigma_m),
+        source_z_m=np.ascontiguousarray(nodes.source_xyz_m[:, 2]),
+        tilt_xy_rad=_rounded(nodes.tilt_xy_rad, STEP_RAD),
+        stretch_up=_rounded(np.full(len(nodes), graph.figures.scale_up), STEP_RAD),
+        sigma_up_m=_rounded(nodes.sigma_m[:, 2], STEP_M),
+        sigma_tilt_rad=_rounded(nodes.sigma_tilt_rad, STEP_RAD),
         stamp_ns=stamp_ns,
     )
     warp = Warp(graph.motion, None, bend=bend)
@@ -197,6 +202,7 @@ def _figures(drive: Drive, solved: Solved, up: Raised, radius_m: float) -> Graph
         revisit_edges=len(solved.known.revisit.first),
         revisit_agreement=_agreement(solved, state),
         revisit_disagreement_m=_disagreement(drive, state, radius_m),
+        scale_up=up.scale,
         noise_climb_m=up.noise_climb_m,
         noise_tilt_rad=up.noise_tilt_rad,
         noise_altitude=up.noise_altitude,
@@ -243,7 +249,8 @@ def _use(gnss: GnssTrack, solved: Solved, up: Raised) -> GnssUse:
 def _refuse_folds(warp: Warp, nodes: GraphNodes) -> None:
     around = np.array([[0, 0], [10, 0], [-10, 0], [0, 10], [0, -10], [25, 25], [-25, -25]], float)
     xy = (nodes.source_xyz_m[:, None, :2] + around).reshape(-1, 2)
-    area = np.linalg.det(warp.jacobian(np.column_stack([xy, np.zeros(len(xy))])))
+    z = np.repeat(nodes.source_xyz_m[:, 2], len(around))
+    area = np.linalg.det(warp.jacobian(np.column_stack([xy, z])))
     worst = int(area.argmin())
     if area[worst] < MIN_AREA_SHARE:
         row = int(nodes.row[worst // len(around)])

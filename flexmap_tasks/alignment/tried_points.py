@@ -114,7 +114,7 @@ def _warp(base: SolvedDrive, state: State) -> Warp:
     nodes = base.drive.pose[base.drive.node]
     fit, n = base.solved.fit, len(nodes)
     zero, one = np.zeros(n), np.ones(n)
-    bend = Bend(
+    bend = Bend.level(
         source_xy_m=np.ascontiguousarray(nodes[:, :2]),
         target_xy_m=np.ascontiguousarray(state.pose[:, :2]),
         turn_rad=wrapped(state.pose[:, 2] - nodes[:, 2]),
@@ -123,6 +123,7 @@ def _warp(base: SolvedDrive, state: State) -> Warp:
         sigma_m=zero,
         sigma_turn_rad=zero,
         blend_m=one * base.params.blend_sigma_m,
+        source_z_m=base.drive.z_m[base.drive.node],
     )
     return Warp(RigidMotion(fit.rotation, fit.translation, 1.0, fit.scale, fit.rmse), None, bend=bend)
 

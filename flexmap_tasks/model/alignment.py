@@ -203,6 +203,10 @@ class Warp:
         """(n,) predicted horizontal standard deviation at places of the moving frame; NaN where none is known."""
         return np.full(len(xyz_m), np.nan) if self.bend is None else self.bend.sigma_at_m(xyz_m)
 
+    def sigma_up_m(self, xyz_m: Floats) -> Floats:
+        """(n,) predicted standard deviation of height at places of the moving frame; NaN where none is known."""
+        return np.full(len(xyz_m), np.nan) if self.bend is None else self.bend.sigma_up_at_m(xyz_m)
+
     def _numeric_jacobian(self, xyz_m: Floats) -> Floats:
         step = SPACING_M / 2
         columns = []

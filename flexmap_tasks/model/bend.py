@@ -18,13 +18,16 @@ _UNDO_ROUNDS, _UNDO_M = 60, 1e-10
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Bend:
-    """Near a pose the plane moves as the pose did, between them smoothly.
+    """Near a pose everything moves as the pose did, between them smoothly.
 
     source_xy_m, target_xy_m : (n, 2) float64, the poses before (moving frame) and after (fixed frame)
     turn_rad, stretch : (n,) float64, how the plane is turned and scaled at each
     lift_m : (n,) float64, added to heights
     sigma_m, sigma_turn_rad : (n,) float64, standard deviations of the place, per axis, and of the turn
     blend_m : (n,) float64, all equal: width of the blend
+    source_z_m : (n,) float64, heights of the poses before; tilt_xy_rad : (n, 2) float64, roll and pitch corrected:
+    slope added along x and y of the moving frame, about the pose; stretch_up : (n,) float64, of heights above it
+    sigma_up_m, sigma_tilt_rad : (n,) float64, standard deviations of lift, NaN where unknown, and of tilt per axis
     stamp_ns : (n,) int64, ascending, when each pose was driven; None where nothing is to be moved by its time
     """
 
@@ -36,7 +39,34 @@ class Bend:
     sigma_m: Floats
     sigma_turn_rad: Floats
     blend_m: Floats
+    source_z_m: Floats
+    tilt_xy_rad: Floats
+    stretch_up: Floats
+    sigma_up_m: Floats
+    sigma_tilt_rad: Floats
     stamp_ns: Ints | None = None
+
+    @classmethod
+    def level(
+        cls,
+        source_xy_m: Floats,
+        target_xy_m: Floats,
+        turn_rad: Floats,
+        stretch: Floats,
+        lift_m: Floats,
+        sigma_m: Floats,
+        sigma_turn_rad: Floats,
+        blend_m: Floats,
+        stamp_ns: Ints | None = None,
+        source_z_m: Floats | None = None,
+    ) -> Bend:
+        """Of poses that are not tilted, at height 0 if not said otherwise, with heights of unknown deviation."""
+        zero = np.zeros(len(turn_rad))
+        return cls(
+            source_xy_m, target_xy_m, turn_rad, stretch, lift_m, sigma_m, sigma_turn_rad, blend_m,
+            zero if source_z_m is None else source_z_m, np.zeros((len(zero), 2)), zero + 1.0, zero + np.nan, zero,
+            stamp_ns,
+        )  # fmt: skip
 
     def __len__(self) -> int:
         return len(self.turn_rad)
@@ -59,15 +89,22 @@ class Bend:
         out = np.zeros((len(xyz_m), 3))
         for k, weight in ((after - 1, 1.0 - share), (after, share)):
             x, y = (xyz_m[:, :2] - self.source_xy_m[k]).T
+            above, (slope_x, slope_y) = xyz_m[:, 2] - self.source_z_m[k], self.tilt_xy_rad[k].T
+            up = self.lift_m[k] + (self.stretch_up[k] - 1.0) * above + slope_x * x + slope_y * y
+            x, y = x - slope_x * above, y - slope_y * above
             cos, sin = self.stretch[k] * np.cos(self.turn_rad[k]), self.stretch[k] * np.sin(self.turn_rad[k])
             out[:, 0] += weight * (self.target_xy_m[k, 0] + cos * x - sin * y)
             out[:, 1] += weight * (self.target_xy_m[k, 1] + sin * x + cos * y)
-            out[:, 2] += weight * (self.lift_m[k] + xyz_m[:, 2])
+            out[:, 2] += weight * (up + xyz_m[:, 2])
         return out
 
     def sigma_at_m(self, xyz_m: Floats) -> Floats:
         """(n,) horizontal standard deviation per axis where (n, 3) places go."""
         return self._over(xyz_m, np.empty(len(xyz_m)), lambda page: page.sigma, blend.sample)
+
+    def sigma_up_at_m(self, xyz_m: Floats) -> Floats:
+        """(n,) standard deviation of height where (n, 3) places go, NaN where a pose around has none."""
+        return self._over(xyz_m, np.empty(len(xyz_m)), lambda page: page.sigma_up, blend.sample)
 
     def _over(
         self,
@@ -80,7 +117,10 @@ class Bend:
         points = np.ascontiguousarray(xyz_m)
         first = True
         for part in blend.parts_of(blend.blocks_of(points)):
-            by = blend.atlas([channel(_block(self, int(i), int(j))) for i, j in part], part)
+            pages = [_block(self, int(i), int(j)) for i, j in part]
+            by = blend.atlas(
+                [channel(page) for page in pages], part, np.concatenate([p.height for p in pages])
+            )
             if first:
                 kernel(by, points, out)
                 first = False
@@ -98,14 +138,13 @@ class Bend:
 
         start_xy_m : (n, 2) first guess; back : (2, 2) about the inverse of the slope
         """
-        place = np.column_stack([start_xy_m, np.zeros(len(xyz_m))])
+        place = np.column_stack([start_xy_m, xyz_m[:, 2]])
         for _ in range(_UNDO_ROUNDS):
-            moved = self.apply(place)
-            step = (xyz_m[:, :2] - moved[:, :2]) @ back.T
-            place[:, :2] += step
+            gap = xyz_m - self.apply(place)
+            step = np.column_stack([gap[:, :2] @ back.T, gap[:, 2]])
+            place += step
             if not (np.abs(step) > _UNDO_M).any():
                 break
-        place[:, 2] = xyz_m[:, 2] - moved[:, 2]
         return place
 
     def restrict(self, box: Floats) -> Bend:
@@ -122,8 +161,9 @@ class Bend:
     def motions(self) -> blend.Motions:
         """The same for the kernels."""
         return blend.Motions(
-            self.source_xy_m, self.target_xy_m, self.turn_rad, self.stretch, self.lift_m, self.sigma_m,
-            self.sigma_turn_rad, float(self.blend_m[0]),
+            self.source_xy_m, self.target_xy_m, self.turn_rad, self.stretch, self.source_z_m, self.lift_m,
+            self.tilt_xy_rad, self.stretch_up, self.sigma_m, self.sigma_turn_rad, self.sigma_up_m,
+            self.sigma_tilt_rad, float(self.blend_m[0]),
         )  # fmt: skip
 
 

@@ -48,6 +48,7 @@ class GraphFigures:
     revisit_edges : pairs of poses on different passes of one place; their share that the graph agrees with
     revisit_disagreement_m : what nine of ten passes stay under: how far the graph has a pass from where SLAM saw it
     from another pass of the same place; 0 without such places
+    scale_up : metres of height per SLAM metre, 1 where heights are as SLAM has them
     noise_climb_m, noise_tilt_rad : of SLAM's height, and of its roll and pitch, over 3 m; noise_altitude : factor on
     the stated sigmas of altitudes; None without altitudes
     """
@@ -68,6 +69,7 @@ class GraphFigures:
     revisit_edges: int
     revisit_agreement: float
     revisit_disagreement_m: float
+    scale_up: float
     noise_climb_m: float | None
     noise_tilt_rad: float | None
     noise_altitude: float | None

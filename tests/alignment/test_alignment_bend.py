@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -24,7 +26,7 @@ def bent(seed: int, poses: int = 80, drift_m: float = 0.03) -> Warp:
     cos, sin = np.cos(0.7), np.sin(0.7)
     target = source @ np.array([[cos, sin], [-sin, cos]]) + [300.0, -40.0] + shift
     one = np.ones(poses)
-    bend = Bend(
+    bend = Bend.level(
         source, target, turn, one, np.cumsum(rng.normal(0, 0.01, poses)), 0.05 * one, 0.002 * one, 8 * one
     )
     motion = RigidMotion(np.array([[cos, -sin], [sin, cos]]), np.array([300.0, -40.0]), 1.0, 1.0, 0.0)
@@ -65,7 +67,7 @@ def test_poses_of_one_motion_move_all_the_plane_by_it(seed: int) -> None:
     turn = np.full(len(one), 0.7)
     cos, sin = np.cos(0.7), np.sin(0.7)
     target = one.source_xy_m @ np.array([[cos, sin], [-sin, cos]]) + [300.0, -40.0]
-    same = Bend(
+    same = Bend.level(
         one.source_xy_m, target, turn, one.stretch, 0 * turn, one.sigma_m, one.sigma_turn_rad, one.blend_m
     )
     warp = Warp(bent(seed).motion, None, bend=same)
@@ -120,7 +122,7 @@ def test_a_point_with_a_time_follows_the_pass_that_saw_it() -> None:
     off = np.repeat([0.05, -0.05], 30)
     one, stamp = np.ones(60), np.arange(60) * 10**8
     target = source + np.column_stack([0 * off, off])
-    bend = Bend(source, target, 0 * off, one, off, 0.02 * one, 0.001 * one, 8 * one, stamp)
+    bend = Bend.level(source, target, 0 * off, one, off, 0.02 * one, 0.001 * one, 8 * one, stamp)
     warp = Warp(RigidMotion(np.eye(2), np.zeros(2), 1.0, 1.0, 0.0), None, bend=bend)
     xyz = np.column_stack([np.linspace(20, 70, 11), np.full(11, 4.0), np.full(11, 1.0)])
     first = (xyz[:, 0] / 3.0 * 1e8).astype(np.int64)
@@ -136,3 +138,86 @@ def test_a_point_with_a_time_follows_the_pass_that_saw_it() -> None:
     assert np.allclose(before[:, 1] - xyz[:, 1], 0.05)
     assert np.allclose(after[:, 1] - xyz[:, 1], -0.05)
     assert warp.restrict(Extent(0, 0, 10, 10)).bend.stamp_ns is None  # type: ignore[union-attr]
+
+
+STILL = RigidMotion(np.eye(2), np.zeros(2), 1.0, 1.0, 0.0)
+
+
+def straight(poses: int = 40, **changed: np.ndarray) -> Bend:
+    """A drive along x at height 100 that is corrected by nothing but what is given."""
+    source = np.column_stack([3.0 * np.arange(poses), np.zeros(poses)])
+    zero, one = np.zeros(poses), np.ones(poses)
+    level = Bend.level(
+        source, source, zero, one, zero, 0.02 * one, 0.001 * one, 8 * one,
+        np.arange(poses, dtype=np.int64), source_z_m=100 * one,
+    )  # fmt: skip
+    return replace(level, **changed)
+
+
+@pytest.mark.parametrize("by_time", [False, True])
+def test_what_stands_by_the_road_leans_as_the_pose_does(by_time: bool) -> None:
+    """Roll and pitch turn a traffic light, a facade and the ground about the pose, by the small angle's own motion."""
+    tilt, turn = np.array([0.01, -0.02]), np.full(40, np.pi / 2)
+    bend = straight(
+        tilt_xy_rad=np.tile(tilt, (40, 1)),
+        turn_rad=turn,
+        stretch_up=np.full(40, 1.01),
+        lift_m=np.full(40, 0.3),
+    )
+    bend = replace(bend, target_xy_m=np.column_stack([-bend.source_xy_m[:, 1], bend.source_xy_m[:, 0]]))
+    warp = Warp(STILL, None, bend=bend)
+    xyz = np.array([[60.0, 0.0, 100.0], [60.0, 0.0, 106.0], [60.0, 10.0, 100.0], [60.0, 10.0, 130.0]])
+    moved = warp.apply_at(xyz, np.full(4, 20)) if by_time else warp.apply(xyz)
+    # at right angles to the way: a roll lifts what lies beside it; a quarter turn brings x to y
+    above = xyz[:, 2] - 100
+    along = xyz[:, :2] - above[:, None] * tilt
+    place = np.column_stack([-along[:, 1], along[:, 0]])
+    # the tilt is the same at all poses here, but their heights are: a slope along x does not lift the road itself
+    up = 100.3 + 1.01 * above + tilt[1] * xyz[:, 1]
+    assert np.abs(moved[:, :2] - place).max() < 1e-9
+    assert (
+        np.abs(moved[:, 2] - up).max() < 0.011 * 8
+    )  # poses before lift, those behind lower: blended to nothing
+    if by_time:
+        assert np.abs(moved[:, 2] - up).max() < 1e-9
+
+
+def test_a_height_that_no_map_knows_does_not_lean() -> None:
+    bend = straight(tilt_xy_rad=np.tile([0.01, 0.02], (40, 1)))
+    moved = Warp(STILL, None, bend=bend).apply(
+        np.array([[60.0, 0.0, 0.0], [60.0, 0.0, np.nan], [60.0, 0.0, 100.0]])
+    )
+    assert np.abs(moved[:, :2] - [60.0, 0.0]).max() < 1e-9
+    assert np.isnan(moved[1, 2])
+
+
+def test_passes_over_and_under_a_bridge_keep_their_own_heights() -> None:
+    """Two roads cross at right angles 6 m apart in height; SLAM has the upper 40 cm too low, the lower 20 cm too high."""
+    way = 3.0 * np.arange(-20, 21)
+    zero, one = np.zeros(41), np.ones(41)
+    source = np.concatenate([np.column_stack([way, zero]), np.column_stack([zero, way])])
+    z, lift = np.concatenate([zero + 6.0, zero]), np.concatenate([zero + 0.4, zero - 0.2])
+    both = np.concatenate([one, one])
+    bend = Bend.level(source, source, 0 * both, both, lift, 0.02 * both, 0.001 * both, 8 * both, source_z_m=z)
+    warp = Warp(STILL, None, bend=bend)
+    lanes = np.linspace(-3.5, 3.5, 5)
+    for road, height, right in ((0, 6.0, 0.4), (1, 0.0, -0.2)):
+        xyz = np.array([[a, b, height] for a in np.linspace(-40, 40, 41) for b in lanes])
+        if road == 1:
+            xyz = xyz[:, [1, 0, 2]]
+        wrong = np.abs(warp.apply(xyz)[:, 2] - xyz[:, 2] - right)
+        assert wrong.max() < 0.10  # the mean of both passes would be off by 30 cm
+        assert np.sqrt((wrong**2).mean()) < 0.05
+    top = np.array([[0.0, 0.0, 6.0], [0.0, 0.0, 0.0]])
+    assert np.abs(warp.inverse().apply(warp.apply(top)) - top).max() < 1e-8
+
+
+def test_deviation_of_heights_grows_away_from_the_poses() -> None:
+    one = np.ones(40)
+    warp = Warp(STILL, None, bend=straight(sigma_up_m=0.05 * one, sigma_tilt_rad=0.002 * one))
+    xyz = np.column_stack([np.full(4, 60.0), [0.0, 10.0, 50.0, 400.0], np.full(4, 100.0)])
+    sigma = warp.sigma_up_m(xyz)
+    assert sigma[0] == pytest.approx(0.05, abs=0.01)
+    assert (np.diff(sigma) > 0).all()
+    assert sigma[-1] == pytest.approx(0.002 * 400 / np.sqrt(2), rel=0.1)
+    assert np.isnan(Warp(STILL, None, bend=straight()).sigma_up_m(xyz)).all()

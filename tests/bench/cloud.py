@@ -95,7 +95,7 @@ def _warp() -> Warp:
     drift = np.column_stack([0.5 * np.sin(s / 90), 3.0 * np.sin(s / 250)])
     turn = np.gradient(drift[:, 1])
     lift, sigma = 0.2 * np.sin(s / 70), np.full(n, 0.02)
-    bend = Bend(before, before + drift, turn, np.ones(n), lift, sigma, sigma / 20, np.full(n, 15.0))
+    bend = Bend.level(before, before + drift, turn, np.ones(n), lift, sigma, sigma / 20, np.full(n, 15.0))
     return Warp(still, None, bend=bend)
 
 

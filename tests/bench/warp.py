@@ -84,7 +84,9 @@ def _bend(rng: np.random.Generator, poses: int = 1000) -> Warp:
     shift = np.cumsum(rng.normal(0, 0.02, (poses, 2)), axis=0)
     one = np.ones(poses)
     return Warp(
-        STILL, None, bend=Bend(source, source + shift, 0.001 * one, one, 0 * one, one, 0.001 * one, 8 * one)
+        STILL,
+        None,
+        bend=Bend.level(source, source + shift, 0.001 * one, one, 0 * one, one, 0.001 * one, 8 * one),
     )
 
 

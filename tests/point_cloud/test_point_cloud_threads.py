@@ -29,7 +29,7 @@ def bent_road() -> Warp:
     sigma = np.full(n, 0.02)
     return Warp(
         still, None,
-        bend=Bend(before, before + drift, np.gradient(drift[:, 1]), np.ones(n), 0.1 * drift[:, 0], sigma,
+        bend=Bend.level(before, before + drift, np.gradient(drift[:, 1]), np.ones(n), 0.1 * drift[:, 0], sigma,
                   sigma / 20, np.full(n, 15.0)),
     )  # fmt: skip
 

@@ -88,7 +88,7 @@ def adjusted(inputs: dict[str, Any]) -> dict[str, Any]:
     n, zero = len(slam), np.zeros(len(slam))
     source = np.ascontiguousarray(slam.xyz_m[:, :2])
     target = motion.apply_xy(source) + np.column_stack([zero + 1.0, np.linspace(0, 3, n)])
-    bend = Bend(
+    bend = Bend.level(
         source, target, zero + motion.angle_rad, zero + 1, zero, np.linspace(0.01, 0.4, n), zero, zero + 8.0
     )
     rows = np.arange(0, n, 2)
