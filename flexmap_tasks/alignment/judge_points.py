@@ -26,7 +26,7 @@ def judge_points(
 
     motion : the rigid start that the sources are given after; nodes : of the pose graph behind the warp, if any
     """
-    place = np.column_stack([motion.inverse().apply_xy(points.source_xy_m), np.zeros(len(points))])
+    place = np.column_stack([motion.inverse().apply_xy(points.source_xy_m), np.full(len(points), np.nan)])
     gap = warp.apply(place)[:, :2] - points.target_xy_m
     if nodes is not None:
         without = _adjusted_without(points, place[:, :2], gap, nodes)

@@ -7,7 +7,7 @@ asked, far away it takes in ever more poses and turns into a smooth mean, withou
 depends on no pose beyond the kernel's end: parts of the deformation can be named by the poses they see.
 
 What rises above the road leans as the poses do, so the shift is linear in the height over that of the poses around.
-Where passes cross at different heights, on a bridge and under it, that line goes through what either of them says.
+Where passes cross at different heights, on a bridge and under it, heights go by a line through what either says.
 """
 
 from __future__ import annotations
@@ -42,12 +42,8 @@ FARTHEST_M = 1e8
 """Nothing on Earth lies further from its map's origin; such places become NaN."""
 
 
-CHANNELS = 6
+CHANNELS = 7
 """Of a shift that depends on height."""
-
-TALL_M = 50.0
-"""What is this much higher or lower than the poses around leans less, at twice of it not at all: it may be of a map
-that does not know heights."""
 
 DECK_M, NEAR_M, MOST_LEAN = 2.0, 20.0, 0.2
 """Heights of passes whose standard deviation exceeds the first are decks of their own, no nearer than the second to
@@ -81,13 +77,12 @@ class Motions(NamedTuple):
 class Page(NamedTuple):
     """The lattice nodes of a block, its far edges included.
 
-    shift : (CELLS + 1, CELLS + 1, 6) east, north and up at a height, and how they change per metre above it
-    height : (1,) that height, about that of the poses around
+    shift : (CELLS + 1, CELLS + 1, 7) east, north and up at height 0, how they change per metre of height, and the
+    height of the poses around
     sigma, sigma_up : (CELLS + 1, CELLS + 1) standard deviation per axis in the plane, and of height
     """
 
     shift: Floats
-    height: Floats
     sigma: Floats
     sigma_up: Floats
 
@@ -120,8 +115,7 @@ def block(motions: Motions, tree: cKDTree, i: int, j: int) -> Page:
         [np.cos(motions.turn[rows]), np.sin(motions.turn[rows])]
     )
     size = (CELLS + 1, CELLS + 1)
-    about = motions.source_z[rows].mean(keepdims=True)
-    page = Page(np.empty((*size, CHANNELS)), about, np.empty(size), np.empty(size))
+    page = Page(np.empty((*size, CHANNELS)), np.empty(size), np.empty(size))
     variance = np.column_stack([c[rows] for c in motions[-5:-1]]) ** 2
     height = np.column_stack(
         [motions.source_z[rows], motions.lift[rows], motions.tilt[rows], motions.stretch_up[rows] - 1.0]
@@ -134,11 +128,11 @@ def block(motions: Motions, tree: cKDTree, i: int, j: int) -> Page:
 
 
 @njit(cache=True, nogil=True)
-def _block(i0, j0, source, target, linear, height, variance, reach0, shift, about, sigma, sigma_up):  # type: ignore[no-untyped-def]  # pragma: no cover
+def _block(i0, j0, source, target, linear, height, variance, reach0, shift, sigma, sigma_up):  # type: ignore[no-untyped-def]  # pragma: no cover
     square = np.empty(len(source))
     # east, north, up: what a pose says at its own height, and per metre above it
     said, lean = np.empty(3), np.empty(3)
-    mean, leans, skew, along_z = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
+    mean, leans, skew, apart = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
     for a in range(shift.shape[0]):
         for b in range(shift.shape[1]):
             x, y = (i0 + a) * SPACING_M, (j0 + b) * SPACING_M
@@ -148,62 +142,58 @@ def _block(i0, j0, source, target, linear, height, variance, reach0, shift, abou
                 square[k] = dx * dx + dy * dy
                 nearest = min(nearest, square[k])
             reach = reach0 + REACH_GROWTH * np.sqrt(nearest)
-            total, z_mean, z_spread, spread, spread_up, apart, apart_up = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-            mean[:], leans[:], skew[:], along_z[:] = 0.0, 0.0, 0.0, 0.0
+            total, z_mean, z_spread, up_along_z, spread, spread_up = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+            mean[:], leans[:], skew[:], apart[:] = 0.0, 0.0, 0.0, 0.0
             for k in range(len(source)):
                 w = 1.0 - square[k] / (reach * reach)
                 if w > 0.0:
                     w = w * w * w * w
                     dx, dy = x - source[k, 0], y - source[k, 1]
                     c, s = linear[k, 0], linear[k, 1]
-                    z, tx, ty = height[k, 0], height[k, 2], height[k, 3]
+                    tx, ty = height[k, 2], height[k, 3]
                     said[0] = target[k, 0] + c * dx - s * dy - x
                     said[1] = target[k, 1] + s * dx + c * dy - y
                     said[2] = height[k, 1] + tx * dx + ty * dy
                     lean[0], lean[1], lean[2] = s * ty - c * tx, -s * tx - c * ty, height[k, 4]
                     total += w
-                    # West (1979): the spread about a mean that moves, without cancellation
-                    part, off_z = w / total, z - z_mean
+                    # West (1979): spreads about means that move, without cancellation
+                    part, off_z = w / total, height[k, 0] - z_mean
                     z_mean += off_z * part
-                    z_spread += w * off_z * (z - z_mean)
+                    z_spread += w * off_z * (height[k, 0] - z_mean)
+                    up_along_z += w * (said[2] - mean[2]) * (height[k, 0] - z_mean)
                     for axis in range(3):
                         off = said[axis] - mean[axis]
                         mean[axis] += off * part
-                        along_z[axis] += w * off * (z - z_mean)
+                        apart[axis] += w * off * (said[axis] - mean[axis])
                         leans[axis] += (lean[axis] - leans[axis]) * part
                         skew[axis] += w * (lean[axis] - leans[axis]) * off_z
-                        more = w * off * (said[axis] - mean[axis])
-                        if axis < 2:
-                            apart += more
-                        else:
-                            apart_up += more
                     spread += w * (variance[k, 0] + variance[k, 1] * square[k] / 2.0)
                     spread_up += w * (variance[k, 2] + variance[k, 3] * square[k] / 2.0)
-            v = z_spread / total
-            decks = (v / DECK_M**2) ** 4 / (1.0 + (v / DECK_M**2) ** 4) / (1.0 + (nearest / NEAR_M**2) ** 4)
             for axis in range(3):
-                by_deck = along_z[axis] / z_spread if z_spread > 0.0 else 0.0
-                share = decks * min(1.0, MOST_LEAN / max(abs(by_deck), MOST_LEAN))
-                slope = share * by_deck + (1.0 - share) * leans[axis]
                 # poses lean about their own heights, not about the mean of all
-                at_mean = mean[axis] - (1.0 - share) * skew[axis] / total
-                shift[a, b, axis] = at_mean + slope * (about[0] - z_mean)
-                shift[a, b, 3 + axis] = slope
-            sigma[a, b] = np.sqrt((spread + apart / 2.0) / total)
-            sigma_up[a, b] = np.sqrt((spread_up + (1.0 - decks) * apart_up) / total)
+                shift[a, b, axis] = mean[axis] - skew[axis] / total - leans[axis] * z_mean
+                shift[a, b, 3 + axis] = leans[axis]
+            shift[a, b, 6] = z_mean
+            decks = (z_spread / total / DECK_M**2) ** 4
+            decks = decks / (1.0 + decks) / (1.0 + (nearest / NEAR_M**2) ** 4)
+            if decks > 0.0:
+                slope = up_along_z / z_spread
+                share = decks * min(1.0, MOST_LEAN / max(abs(slope), MOST_LEAN))
+                shift[a, b, 5] += share * (slope - leans[2])
+                shift[a, b, 2] += share * (skew[2] / total - (slope - leans[2]) * z_mean)
+            sigma[a, b] = np.sqrt((spread + (apart[0] + apart[1]) / 2.0) / total)
+            sigma_up[a, b] = np.sqrt((spread_up + (1.0 - decks) * apart[2]) / total)
 
 
 class Atlas(NamedTuple):
     """Pages for many points.
 
     pages : (p, CELLS + 1, CELLS + 1, CHANNELS) or (p, CELLS + 1, CELLS + 1), contiguous
-    height : (p,) of every page of shifts
     corner : (2,) int64, the first block
     table : (ni, nj) int32, page of every block from there on, or -1
     """
 
     pages: Floats
-    height: Floats
     corner: Ints
     table: NDArray[np.int32]
 
@@ -221,18 +211,18 @@ def parts_of(blocks: Ints) -> Iterator[Ints]:
         waiting += [part[: len(part) // 2], part[len(part) // 2 :]]
 
 
-def atlas(pages: list[Floats], blocks: Ints, height: Floats | None = None) -> Atlas:
-    """Pages laid out by their blocks (b, 2); height : (b,) of pages of shifts."""
+def atlas(pages: list[Floats], blocks: Ints) -> Atlas:
+    """Pages laid out by their blocks (b, 2)."""
     corner = blocks.min(axis=0)
     table = np.full(blocks.max(axis=0) - corner + 1, -1, np.int32)
     table[tuple((blocks - corner).T)] = np.arange(len(blocks))
-    return Atlas(np.stack(pages), np.zeros(len(pages)) if height is None else height, corner, table)
+    return Atlas(np.stack(pages), corner, table)
 
 
 def move(by: Atlas, xyz: Floats, out: Floats) -> None:
-    """(n, 3) points moved by pages of shifts; NaN where no page is."""
+    """(n, 3) points moved by pages of shifts; NaN where no page is. A height of NaN counts as the poses'."""
     corner = by.corner * float(CELLS)
-    _move(by.pages.ravel(), by.height, corner[0], corner[1], by.table, xyz, out)
+    _move(by.pages.ravel(), corner[0], corner[1], by.table, xyz, out)
 
 
 def sample(by: Atlas, xyz: Floats, out: Floats) -> None:
@@ -243,7 +233,7 @@ def sample(by: Atlas, xyz: Floats, out: Floats) -> None:
 
 @njit(cache=True, nogil=True, inline="always")
 def _cell(i0, j0, table, x, y):  # type: ignore[no-untyped-def]  # pragma: no cover
-    """Page of a place or -1, the lattice node below and left, counted through all pages, and the way from it."""
+    """Number of the lattice node below and left of a place, counted through all pages, and the way from it."""
     # in numbers that do not depend on where the atlas begins: they may round differently
     left, below = np.floor(x / SPACING_M), np.floor(y / SPACING_M)
     u, v = left - i0, below - j0
@@ -256,17 +246,18 @@ def _cell(i0, j0, table, x, y):  # type: ignore[no-untyped-def]  # pragma: no co
         a, b = np.uint64(ci & np.uint32(CELLS - 1)), np.uint64(cj & np.uint32(CELLS - 1))
         s, t = x / SPACING_M - left, y / SPACING_M - below
     node = (np.uint64(max(page, 0)) * np.uint64(CELLS + 1) + a) * np.uint64(CELLS + 1) + b
-    return page, node, s, t
+    return page >= 0, node, s, t
 
 
 @njit(cache=True, nogil=True, fastmath={"contract"})
-def _move(flat, height, i0, j0, table, xyz, out):  # type: ignore[no-untyped-def]  # pragma: no cover
-    one, two, three, four, five = np.uint64(1), np.uint64(2), np.uint64(3), np.uint64(4), np.uint64(5)
+def _move(flat, i0, j0, table, xyz, out):  # type: ignore[no-untyped-def]  # pragma: no cover
+    one, two, three = np.uint64(1), np.uint64(2), np.uint64(3)
+    four, five, six = np.uint64(4), np.uint64(5), np.uint64(6)
     right, up = np.uint64(CHANNELS * (CELLS + 1)), np.uint64(CHANNELS)
     for n in range(len(xyz)):
         x, y, z = xyz[n, 0], xyz[n, 1], xyz[n, 2]
-        page, node, s, t = _cell(i0, j0, table, x, y)
-        if page < 0:
+        known, node, s, t = _cell(i0, j0, table, x, y)
+        if not known:
             out[n, 0], out[n, 1], out[n, 2] = np.nan, np.nan, np.nan
             continue
         w11 = s * t
@@ -274,11 +265,9 @@ def _move(flat, height, i0, j0, table, xyz, out):  # type: ignore[no-untyped-def
         w00 = 1.0 - s - w01
         k = np.uint64(CHANNELS) * node
         p, q, r = k + right, k + right + up, k + up
-        h = z - height[np.uint64(page)]
-        share = 2.0 - abs(h) * (1.0 / TALL_M)
-        share = 0.5 * (abs(share) - abs(share - 1.0) + 1.0)  # clipped to 0..1 without a branch
-        h = 0.0 if np.isnan(h) else h * share
-        v00, v01, v10, v11 = w00 * h, w01 * h, w10 * h, w11 * h
+        if np.isnan(z):
+            z = w00 * flat[k + six] + w01 * flat[r + six] + w10 * flat[p + six] + w11 * flat[q + six]
+        v00, v01, v10, v11 = w00 * z, w01 * z, w10 * z, w11 * z
         out[n, 0] = x + (
             (w00 * flat[k] + w01 * flat[r] + w10 * flat[p] + w11 * flat[q])
             + (v00 * flat[k + three] + v01 * flat[r + three] + v10 * flat[p + three] + v11 * flat[q + three])
@@ -287,7 +276,7 @@ def _move(flat, height, i0, j0, table, xyz, out):  # type: ignore[no-untyped-def
             (w00 * flat[k + one] + w01 * flat[r + one] + w10 * flat[p + one] + w11 * flat[q + one])
             + (v00 * flat[k + four] + v01 * flat[r + four] + v10 * flat[p + four] + v11 * flat[q + four])
         )
-        out[n, 2] = z + (
+        out[n, 2] = xyz[n, 2] + (
             (w00 * flat[k + two] + w01 * flat[r + two] + w10 * flat[p + two] + w11 * flat[q + two])
             + (v00 * flat[k + five] + v01 * flat[r + five] + v10 * flat[p + five] + v11 * flat[q + five])
         )
@@ -297,8 +286,8 @@ def _move(flat, height, i0, j0, table, xyz, out):  # type: ignore[no-untyped-def
 def _sample(flat, i0, j0, table, xyz, out):  # type: ignore[no-untyped-def]  # pragma: no cover
     one, right = np.uint64(1), np.uint64(CELLS + 1)
     for n in range(len(xyz)):
-        page, k, s, t = _cell(i0, j0, table, xyz[n, 0], xyz[n, 1])
-        if page >= 0:
+        known, k, s, t = _cell(i0, j0, table, xyz[n, 0], xyz[n, 1])
+        if known:
             below = (1.0 - t) * flat[k] + t * flat[k + one]
             above = (1.0 - t) * flat[k + right] + t * flat[k + right + one]
             out[n] = (1.0 - s) * below + s * above

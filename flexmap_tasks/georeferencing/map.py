@@ -15,4 +15,4 @@ def georeference_map(lanelet_map: LaneletMap, warp: Warp) -> LaneletMap:
 
     Coordinates in attributes and tags are written from `xyz_m` when the map is.
     """
-    return replace(lanelet_map, xyz_m=warp.apply(lanelet_map.xyz_m))
+    return replace(lanelet_map, xyz_m=warp.apply_drawn(lanelet_map.xyz_m))

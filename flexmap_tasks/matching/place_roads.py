@@ -31,7 +31,7 @@ def place_roads(
     xy_m = projection.to_xy_m(roads.lonlat_deg)
     _check_cover(roads, xy_m, gnss, projection)
     if warp is not None:
-        xyz_m = np.column_stack([xy_m, np.zeros(len(xy_m))])
+        xyz_m = np.column_stack([xy_m, np.full(len(xy_m), np.nan)])
         xy_m = np.ascontiguousarray(warp.inverse().apply(xyz_m)[:, :2])
     return PlacedRoads(roads, xy_m)
 

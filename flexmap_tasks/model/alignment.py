@@ -178,6 +178,15 @@ class Warp:
             return self.unbend.undo(xyz_m, self.motion.apply_xy(xyz_m), self.motion.linear)
         return kernels.move(_mesh(self, len(xyz_m)), xyz_m)
 
+    def apply_drawn(self, xyz_m: Floats) -> Floats:
+        """The same for nodes of a map: one whose heights are all 0 does not know them, and lies where poses do."""
+        if self.bend is None or xyz_m[:, 2].any():
+            return self.apply(xyz_m)
+        height = self.bend.height_at_m(xyz_m)
+        moved = self.apply(np.column_stack([xyz_m[:, :2], height]))
+        moved[:, 2] -= height
+        return moved
+
     def apply_at(self, xyz_m: Floats, stamp_ns: Ints) -> Floats:
         """(n, 3) places moved by the corrections of the times (n,) at which they were seen; the rest by place.
 

@@ -72,7 +72,7 @@ class Bend:
         return len(self.turn_rad)
 
     def apply(self, xyz_m: Floats) -> Floats:
-        """(n, 3) places in the fixed frame of (n, 3) places; NaN stays NaN."""
+        """(n, 3) places in the fixed frame of (n, 3) places; NaN stays NaN, a height counts as that of the poses."""
         return self._over(xyz_m, np.empty((len(xyz_m), 3)), lambda page: page.shift, blend.move)
 
     def apply_at(self, xyz_m: Floats, stamp_ns: Ints) -> Floats:
@@ -89,7 +89,8 @@ class Bend:
         out = np.zeros((len(xyz_m), 3))
         for k, weight in ((after - 1, 1.0 - share), (after, share)):
             x, y = (xyz_m[:, :2] - self.source_xy_m[k]).T
-            above, (slope_x, slope_y) = xyz_m[:, 2] - self.source_z_m[k], self.tilt_xy_rad[k].T
+            above = np.where(np.isnan(xyz_m[:, 2]), 0.0, xyz_m[:, 2] - self.source_z_m[k])
+            slope_x, slope_y = self.tilt_xy_rad[k].T
             up = self.lift_m[k] + (self.stretch_up[k] - 1.0) * above + slope_x * x + slope_y * y
             x, y = x - slope_x * above, y - slope_y * above
             cos, sin = self.stretch[k] * np.cos(self.turn_rad[k]), self.stretch[k] * np.sin(self.turn_rad[k])
@@ -106,6 +107,12 @@ class Bend:
         """(n,) standard deviation of height where (n, 3) places go, NaN where a pose around has none."""
         return self._over(xyz_m, np.empty(len(xyz_m)), lambda page: page.sigma_up, blend.sample)
 
+    def height_at_m(self, xyz_m: Floats) -> Floats:
+        """(n,) height of the poses around (n, 3) places of the moving frame."""
+        return self._over(
+            xyz_m, np.empty(len(xyz_m)), lambda page: np.ascontiguousarray(page.shift[:, :, 6]), blend.sample
+        )
+
     def _over(
         self,
         xyz_m: Floats,
@@ -117,10 +124,7 @@ class Bend:
         points = np.ascontiguousarray(xyz_m)
         first = True
         for part in blend.parts_of(blend.blocks_of(points)):
-            pages = [_block(self, int(i), int(j)) for i, j in part]
-            by = blend.atlas(
-                [channel(page) for page in pages], part, np.concatenate([p.height for p in pages])
-            )
+            by = blend.atlas([channel(_block(self, int(i), int(j))) for i, j in part], part)
             if first:
                 kernel(by, points, out)
                 first = False

@@ -16,7 +16,7 @@ from flexmap_tasks.report.embed import Json, Texts, millimetres, numbers
 
 def moved(lanelet_map: LaneletMap, warp: Warp) -> LaneletMap:
     """The map where a warp puts it."""
-    return replace(lanelet_map, xyz_m=warp.apply(lanelet_map.xyz_m))
+    return replace(lanelet_map, xyz_m=warp.apply_drawn(lanelet_map.xyz_m))
 
 
 def map_of(lanelet_map: LaneletMap, texts: Texts) -> Json:

@@ -184,11 +184,13 @@ def test_what_stands_by_the_road_leans_as_the_pose_does(by_time: bool) -> None:
 
 def test_a_height_that_no_map_knows_does_not_lean() -> None:
     bend = straight(tilt_xy_rad=np.tile([0.01, 0.02], (40, 1)))
-    moved = Warp(STILL, None, bend=bend).apply(
-        np.array([[60.0, 0.0, 0.0], [60.0, 0.0, np.nan], [60.0, 0.0, 100.0]])
-    )
+    warp = Warp(STILL, None, bend=bend)
+    moved = warp.apply(np.array([[60.0, 0.0, np.nan], [60.0, 0.0, 100.0]]))
     assert np.abs(moved[:, :2] - [60.0, 0.0]).max() < 1e-9
-    assert np.isnan(moved[1, 2])
+    assert np.isnan(moved[0, 2])
+    assert np.abs(warp.inverse().apply(moved)[:, :2] - [60.0, 0.0]).max() < 1e-9
+    drawn = warp.apply_drawn(np.array([[60.0, 0.0, 0.0]]))
+    assert np.abs(drawn[:, :2] - [60.0, 0.0]).max() < 1e-9
 
 
 def test_passes_over_and_under_a_bridge_keep_their_own_heights() -> None:
