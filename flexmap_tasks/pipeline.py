@@ -19,8 +19,6 @@ from flexmap_tasks.config import (
     FlexMapConfig,
     GnssParams,
     GraphHeldOutParams,
-    OsmInput,
-    OsmRoadsParams,
     PairParams,
     ReportParams,
     SlamParams,
@@ -32,12 +30,11 @@ from flexmap_tasks.georeferencing.bundle import georeference
 from flexmap_tasks.georeferencing.map import georeference_map
 from flexmap_tasks.ingest.gnss import ingest_gnss
 from flexmap_tasks.ingest.lanelet_map import ingest_lanelet_map
-from flexmap_tasks.ingest.osm_fetch import fetch_osm, track_box
-from flexmap_tasks.ingest.osm_roads import ingest_osm_roads
 from flexmap_tasks.ingest.slam import ingest_slam
 from flexmap_tasks.pipeline_cloud import georeference_cloud, ingest_cloud
 from flexmap_tasks.pipeline_conflation import Maps, conflate, with_edits
 from flexmap_tasks.pipeline_drives import fuse
+from flexmap_tasks.pipeline_inputs import ingest_ground, ingest_roads
 from flexmap_tasks.pipeline_parts import Adjusted, Aligned, Cloud, Conflated, Drawn, Drive, only
 from flexmap_tasks.report.bundle_check import check_bundle
 from flexmap_tasks.report.exports import export_layers
@@ -53,7 +50,7 @@ def map_update(config: FlexMapConfig) -> Graph:
     if config.lanelet_map is not None:
         lanelets = recorded = graph.run(ingest_lanelet_map, source=SourceRef(config.lanelet_map.file))
     tiles = ingest_cloud(graph, config, slam)
-    roads = _ingest_roads(graph, config.osm, fixes)
+    roads = ingest_roads(graph, config.osm, fixes)
 
     aligned = _align(graph, config, fixes, slam, lanelets, tiles)
     moves_map = config.alignment.master == "gnss"
@@ -89,20 +86,6 @@ def map_update(config: FlexMapConfig) -> Graph:
     return graph
 
 
-def _ingest_roads(graph: Graph, osm: OsmInput | None, fixes: Ref) -> Ref | None:
-    if osm is None:
-        return None
-    source: Ref | SourceRef
-    if osm.fetch is not None:
-        box = graph.run(track_box, osm.fetch, fixes=fixes)
-        source = graph.run(fetch_osm, osm.fetch, box=box)
-        graph.publish("sources/", source)
-    else:
-        assert osm.file is not None  # noqa: S101 - OsmInput gives one of the two
-        source = SourceRef(osm.file)
-    return graph.run(ingest_osm_roads, only(OsmRoadsParams, osm), source=source)
-
-
 def _align(
     graph: Graph, config: FlexMapConfig, fixes: Ref, slam: Ref, lanelets: Ref | None, tiles: Ref | None
 ) -> Aligned:
@@ -116,8 +99,9 @@ def _align(
     if alignment.method != "rigid":
         points = _control_points(graph, config, Drive(projection, gnss, slam), motion)
     if alignment.method == "pose_graph":
-        adjusted = _adjust(graph, config, Drive(projection, gnss, slam), points, motion)
-        fused = fuse(graph, config, projection, adjusted.graph) if config.drives else None
+        drive = Drive(projection, gnss, slam, ingest_ground(graph, config, gnss, projection))
+        adjusted = _adjust(graph, config, drive, points, motion)
+        fused = fuse(graph, config, drive, adjusted.graph) if config.drives else None
         warp = graph.run(
             pose_graph_warp,
             alignment.pose_graph,
@@ -189,6 +173,7 @@ def _adjust(
         projection=drive.projection,
         points=points,
         points_motion=motion if points else None,
+        height_model=drive.height_model,
     )
     graph.publish("pose_graph.json", adjusted.field("figures"))
     graph.publish("pose_graph_nodes.parquet", adjusted.field("nodes"))

@@ -8,10 +8,10 @@ from flexmap_tasks.config import DriveName, FlexMapConfig, GnssParams, SlamParam
 from flexmap_tasks.engine.graph import Graph, Ref, SourceRef
 from flexmap_tasks.ingest.gnss import ingest_gnss
 from flexmap_tasks.ingest.slam import ingest_slam
-from flexmap_tasks.pipeline_parts import only
+from flexmap_tasks.pipeline_parts import Drive, only
 
 
-def fuse(graph: Graph, config: FlexMapConfig, projection: Ref, adjusted: Ref) -> Ref:
+def fuse(graph: Graph, config: FlexMapConfig, main: Drive, adjusted: Ref) -> Ref:
     """The pose graph of all drives; each is aligned by itself, so a new one leaves the others as they are."""
     gathered: Ref | None = None
     for drive in config.drives:
@@ -31,7 +31,8 @@ def fuse(graph: Graph, config: FlexMapConfig, projection: Ref, adjusted: Ref) ->
                 only(GnssParams, drive.gnss),
                 source=SourceRef(drive.gnss.file),
             ),
-            projection=projection,
+            projection=main.projection,
+            height_model=main.height_model,
         )
         gathered = graph.run_as(
             f"gather_drives.{drive.name}",

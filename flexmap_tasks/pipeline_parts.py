@@ -18,11 +18,12 @@ def only(kind: type[M], settings: M) -> M:
 
 @dataclass(frozen=True, slots=True)
 class Drive:
-    """What alignment starts from."""
+    """What alignment starts from; height_model : the ground it is laid onto, if any."""
 
     projection: Ref
     gnss_track: Ref
     slam: Ref
+    height_model: Ref | None = None
 
 
 @dataclass(frozen=True, slots=True)

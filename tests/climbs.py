@@ -6,7 +6,6 @@ import dataclasses
 from dataclasses import dataclass, field
 
 import numpy as np
-from scipy.ndimage import gaussian_filter1d
 from scipy.signal import lfilter
 from scipy.spatial.transform import Rotation
 
@@ -43,8 +42,8 @@ class Up:
 
 def climbed(drive: Driven, up: Up, seed: int = 0, base_m: float = 480.0) -> Driven:
     """The drive over hills. Its truth holds for the poses; the way is that of the plane."""
-    rng = np.random.default_rng(seed + 1000)
-    along, road = _road(drive, up, rng, base_m)
+    rng = np.random.default_rng(seed + 2000)
+    along, road = _road(drive, up, seed, base_m)
     slope = np.gradient(road, along)
     rise, z = np.interp(drive.along, along, slope), np.interp(drive.along, along, road)
     yaw = yaw_rad(drive.slam.quaternion)
@@ -67,15 +66,19 @@ def climbed(drive: Driven, up: Up, seed: int = 0, base_m: float = 480.0) -> Driv
     return drive._replace(slam=slam, xyz=xyz, gnss=_altitudes(drive, up, along, road, slope, rng))
 
 
-def _road(drive: Driven, up: Up, rng: np.random.Generator, base_m: float) -> tuple[np.ndarray, np.ndarray]:
-    """Heights belong to places, so that two passes of one place have one height."""
+def ground_m(xy: np.ndarray, up: Up, seed: int = 0, base_m: float = 480.0) -> np.ndarray:
+    """(n,) true height of (n, 2) places: that of a road does not depend on when it is driven."""
+    rng = np.random.default_rng(seed + 1000)
+    wave, phase = rng.normal(size=(200, 2)) / up.hill_length_m, rng.uniform(0, 2 * np.pi, 200)
+    waves = (np.cos(xy @ w + p) for w, p in zip(wave, phase, strict=True))
+    return np.asarray(base_m + sum(waves) * np.sqrt(2 / 200) * up.hill_m)
+
+
+def _road(drive: Driven, up: Up, seed: int, base_m: float) -> tuple[np.ndarray, np.ndarray]:
     along = np.arange(0.0, drive.along[-1] + 1.0, 1.0)
     keep = np.concatenate([[True], np.diff(drive.along) > 0])
     xy = np.column_stack([np.interp(along, drive.along[keep], drive.xyz[keep, k]) for k in (0, 1)])
-    wave = rng.normal(size=(200, 2)) / up.hill_length_m
-    phase = rng.uniform(0, 2 * np.pi, 200)
-    height = np.cos(xy @ wave.T + phase).sum(axis=1) * np.sqrt(2 / 200) * up.hill_m
-    return along, base_m + gaussian_filter1d(height, 3, mode="nearest")
+    return along, ground_m(xy, up, seed, base_m)
 
 
 def _tilt(up: Up, root: np.ndarray, step: np.ndarray, rng: np.random.Generator) -> np.ndarray:

@@ -81,14 +81,10 @@ def told_heights(
         rounded = resolution_m(altitude[known])
         stretch[known] = offset_stretches(seen.take(known), 1.0 / np.hypot(sigma, rounded)[known] ** 2)
         why[stretch >= 0] = STANDS_OFF
-        # a node where stretches meet can belong to one of them only
-        last = np.append(node[known][1:] != node[known][:-1], True)
-        of_node = np.full(len(drive.node), -1)
-        of_node[node[known[last]]] = stretch[known[last]]
-        known = known[stretch[known] == of_node[node[known]]]
     reason[fix] = why
     heights = Heights(node, arm, seen.misfit_m, sigma, stretch, rounded).take(known)
-    return Told(heights, fix[known], reason)
+    rows = heights.unmixed(len(drive.node))
+    return Told(heights.take(rows), fix[known[rows]], reason)
 
 
 def _times(gnss: GnssTrack, drive: Drive, solved: Solved, fix: Ints, slam: Trajectory) -> Floats | None:

@@ -20,6 +20,7 @@ from flexmap_tasks.geometry.se2 import rotated, wrapped
 from flexmap_tasks.model.alignment import ControlPoints, RigidMotion, Warp
 from flexmap_tasks.model.arrays import Floats
 from flexmap_tasks.model.bend import Bend
+from flexmap_tasks.model.height_model import HeightModel
 from flexmap_tasks.model.pose_graph import GnssUse, GraphFigures, GraphNodes, PoseGraph
 from flexmap_tasks.model.projection import Projection
 from flexmap_tasks.model.tracks import GnssTrack, Trajectory
@@ -44,10 +45,12 @@ def pose_graph(
     points: ControlPoints | None,
     points_motion: RigidMotion | None,
     params: PoseGraphParams,
+    height_model: HeightModel | None = None,
 ) -> PoseGraph:
     """The drive adjusted, with a predicted deviation for every pose and no hand input needed.
 
     points, points_motion : the user's control points, if any, and the rigid start their sources are given after
+    height_model : the ground that the drive is laid onto, where the parameters say so
     Raises AlignmentError when the tracks do not determine an alignment.
     """
     drive = checked_drive(slam, params)
@@ -56,7 +59,7 @@ def pose_graph(
         drive, gnss, first_stamp(slam), float(np.log(projection.grid_scale_factor)), control, params
     )
     refuse_other_drive(drive, solved)
-    up = raised(slam, gnss, drive, solved, projection.grid_scale_factor, params)
+    up = raised(slam, gnss, drive, solved, projection, params, height_model)
     nodes = _nodes(drive, solved, up)
     refuse_unsure(nodes.sigma_m[:, :2])
     return PoseGraph(
@@ -206,6 +209,8 @@ def _figures(drive: Drive, solved: Solved, up: Raised, radius_m: float) -> Graph
         noise_climb_m=up.noise_climb_m,
         noise_tilt_rad=up.noise_tilt_rad,
         noise_altitude=up.noise_altitude,
+        height=up.height,
+        height_share=up.share,
     )
 
 

@@ -98,6 +98,13 @@ class Heights(NamedTuple):
             self.rounded_m,
         )
 
+    def unmixed(self, nodes: int) -> Ints:
+        """Rows that belong to the stretch of their node: one at which stretches meet can be of the last only."""
+        of_node = np.full(nodes, -1)
+        last = np.flatnonzero(np.diff(self.node, append=-1))
+        of_node[self.node[last]] = self.stretch[last]
+        return np.flatnonzero(self.stretch == of_node[self.node])
+
 
 class Lifted(NamedTuple):
     """lift_m : (n,) added to the heights of nodes; tilt : (n, 2) slope added along x and y of the SLAM frame

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated, Literal
 
-from pydantic import Field, StringConstraints
+from pydantic import Field, StringConstraints, model_validator
 
 from flexmap_tasks.config.base import NonNegative, Params, Positive
 
@@ -96,11 +96,35 @@ class PoseGraphParams(Params):
     antenna_up_m: float = Field(
         0.0, allow_inf_nan=False, description="height of the antenna over the SLAM body; no drive can tell it"
     )
+    height: Literal["altitude", "keep", "model"] = Field(
+        "altitude",
+        description="heights by the altitudes of GNSS; as SLAM has them; or laid onto alignment.height_model",
+    )
+    body_up_m: float = Field(
+        0.0, allow_inf_nan=False, description="height of the SLAM body over the ground of a height model"
+    )
     multipath_min_m: Positive = Field(
         0.5,
         description="a stretch of GNSS that stands off by more than this, and significantly, is left out",
     )
     blend_sigma_m: Positive = Field(8.0, description="places between poses follow all poses about this near")
+
+
+class HeightModelParams(Params):
+    """What the numbers of a height model mean."""
+
+    epsg: Annotated[int, Field(ge=1024, le=32766)] | None = Field(
+        None, description="of its coordinates; may stay empty where a GeoTIFF states it"
+    )
+    vertical_datum: str = Field(
+        "", max_length=100, description="of its heights, such as DHHN2016; recorded, nothing is converted"
+    )
+
+
+class HeightModelInput(HeightModelParams):
+    """The ground's height: GeoTIFF, ESRI ASCII grid or lines "x y height"."""
+
+    file: Path
 
 
 class GraphHeldOutParams(Params):
@@ -124,6 +148,18 @@ class AlignmentParams(Params):
     )
     control_points_file: Path | None = Field(None, description="CSV of pairs, see README")
     pose_graph: PoseGraphParams = PoseGraphParams()
+    height_model: HeightModelInput | None = Field(
+        None, description="what pose_graph.height: model lays the drive onto"
+    )
     umeyama: UmeyamaParams = UmeyamaParams()
     control_points: ControlPointsParams = ControlPointsParams()
     rubber_sheet: RubberSheetParams = RubberSheetParams()
+
+    @model_validator(mode="after")
+    def _a_model_where_one_is_used(self) -> AlignmentParams:
+        wanted = self.method == "pose_graph" and self.pose_graph.height == "model"
+        if wanted and self.height_model is None:
+            raise ValueError("pose_graph.height: model needs height_model.file")
+        if self.height_model is not None and not wanted:
+            raise ValueError("height_model is used by pose_graph.height: model only")
+        return self

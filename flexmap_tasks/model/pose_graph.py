@@ -51,6 +51,8 @@ class GraphFigures:
     scale_up : metres of height per SLAM metre, 1 where heights are as SLAM has them
     noise_climb_m, noise_tilt_rad : of SLAM's height, and of its roll and pitch, over 3 m; noise_altitude : factor on
     the stated sigmas of altitudes; None without altitudes
+    height : what heights are: "altitude" as GNSS states them, "SLAM", or "model" and the vertical datum of that
+    height_share : share of the nodes at which an altitude or the model tells the height
     """
 
     timed: bool
@@ -73,6 +75,8 @@ class GraphFigures:
     noise_climb_m: float | None
     noise_tilt_rad: float | None
     noise_altitude: float | None
+    height: str
+    height_share: float
 
 
 @dataclass(frozen=True, slots=True, eq=False)
