@@ -9,6 +9,7 @@ from flexmap_tasks.alignment.automatic_points import automatic_control_points
 from flexmap_tasks.alignment.cloud_extent import cloud_extent
 from flexmap_tasks.alignment.control_points import control_points
 from flexmap_tasks.alignment.heldout import heldout
+from flexmap_tasks.alignment.heldout_height import heldout_heights
 from flexmap_tasks.alignment.judge_points import judge_points
 from flexmap_tasks.alignment.pose_graph import antenna_track, pose_graph, pose_graph_warp
 from flexmap_tasks.alignment.project import project_utm
@@ -179,23 +180,26 @@ def _adjust(
     graph.publish("pose_graph_nodes.parquet", adjusted.field("nodes"))
     graph.publish("gnss_use.parquet", adjusted.field("gnss_use"))
     antenna = graph.run(antenna_track, graph=adjusted)
-    withheld = None
+    withheld = withheld_heights = None
     if evaluation.held_out_block_m > 0:
-        withheld = graph.run(
-            heldout,
-            GraphHeldOutParams(
-                block_m=evaluation.held_out_block_m, folds=evaluation.held_out_folds, graph=params
-            ),
-            slam=drive.slam,
-            gnss=drive.gnss_track,
-            projection=drive.projection,
+        blocks = GraphHeldOutParams(
+            block_m=evaluation.held_out_block_m, folds=evaluation.held_out_folds, graph=params
         )
+        tracks = {"slam": drive.slam, "gnss": drive.gnss_track, "projection": drive.projection}
+        withheld = graph.run(heldout, blocks, **tracks)
         graph.publish("held_out.parquet", withheld)
-    noticed = None
-    if evaluation.sigma_max_m is not None:
-        noticed = graph.run(sigma_findings, evaluation, graph_nodes=adjusted.field("nodes"))
-        graph.publish("drive_findings.parquet", noticed)
-    return Adjusted(adjusted, antenna, withheld, noticed)
+        if params.height == "altitude":
+            withheld_heights = graph.run(heldout_heights, blocks, **tracks)
+            graph.publish("held_out_heights.parquet", withheld_heights)
+    noticed = graph.run(
+        sigma_findings,
+        evaluation,
+        graph_nodes=adjusted.field("nodes"),
+        gnss_use=adjusted.field("gnss_use"),
+        graph_figures=adjusted.field("figures"),
+    )
+    graph.publish("drive_findings.parquet", noticed)
+    return Adjusted(adjusted, antenna, withheld, withheld_heights, noticed)
 
 
 def _check_bundle(graph: Graph, bundle: Ref, cloud: Cloud | None) -> Ref:
@@ -229,6 +233,7 @@ def _evaluate(
         graph_nodes=adjusted.graph.field("nodes") if adjusted else None,
         gnss_use=adjusted.graph.field("gnss_use") if adjusted else None,
         held_out=adjusted.held_out if adjusted else None,
+        held_out_heights=adjusted.held_out_heights if adjusted else None,
         drive_findings=adjusted.findings if adjusted else None,
         control_points=aligned.control_points,
         **maps,

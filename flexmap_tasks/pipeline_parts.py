@@ -28,12 +28,13 @@ class Drive:
 
 @dataclass(frozen=True, slots=True)
 class Adjusted:
-    """The pose graph, its antenna track, its errors on withheld GNSS, and where it is worse than it may be."""
+    """The pose graph, its antenna track, its errors on withheld GNSS and altitudes, and what is odd about it."""
 
     graph: Ref
     antenna: Ref
     held_out: Ref | None
-    findings: Ref | None
+    held_out_heights: Ref | None
+    findings: Ref
 
 
 @dataclass(frozen=True, slots=True)

@@ -18,7 +18,7 @@ from flexmap_tasks.model.arrays import Floats
 from flexmap_tasks.model.conflation import LaneCheck, References, Transfers
 from flexmap_tasks.model.maps import Findings, LaneletMap
 from flexmap_tasks.model.match_statistics import match_statistics
-from flexmap_tasks.model.pose_graph import GnssUse, GraphFigures, GraphNodes, HeldOut
+from flexmap_tasks.model.pose_graph import GnssUse, GraphFigures, GraphNodes, HeldOut, HeldOutHeights
 from flexmap_tasks.model.quality import Measure, Quality
 from flexmap_tasks.model.tracks import GnssTrack, Trajectory
 
@@ -48,6 +48,7 @@ def evaluate(
     graph_nodes: GraphNodes | None = None,
     gnss_use: GnssUse | None = None,
     held_out: HeldOut | None = None,
+    held_out_heights: HeldOutHeights | None = None,
     recorded_map: LaneletMap | None = None,
     moved_map: LaneletMap | None = None,
 ) -> Quality:
@@ -61,7 +62,7 @@ def evaluate(
     after_m = warp.apply(slam.xyz_m) if antenna is None else antenna.xyz_m
     measures = [*_deviations(slam, gnss, warp, after_m, params), *_alignment(warp)]
     if graph_figures is not None and graph_nodes is not None and gnss_use is not None:
-        measures += graph_measures(graph_figures, graph_nodes, gnss_use, held_out, params)
+        measures += graph_measures(graph_figures, graph_nodes, gnss_use, held_out, params, held_out_heights)
     if control_points is not None:
         measures += _residuals(control_points)
     if recorded_map is not None and moved_map is not None:

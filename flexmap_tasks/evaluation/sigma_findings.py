@@ -6,10 +6,11 @@ import numpy as np
 
 from flexmap_tasks.config import EvaluationParams
 from flexmap_tasks.engine.stage import stage
+from flexmap_tasks.evaluation.height_findings import height_findings
 from flexmap_tasks.geometry.polyline import arc_length_m
 from flexmap_tasks.model.arrays import Floats, Ints, strings
 from flexmap_tasks.model.maps import Findings
-from flexmap_tasks.model.pose_graph import GraphNodes
+from flexmap_tasks.model.pose_graph import GnssUse, GraphFigures, GraphNodes
 
 CODE = "predicted-sigma-over-limit"
 
@@ -18,10 +19,16 @@ APART_M = 20.0
 
 
 @stage("drive_findings")
-def sigma_findings(graph_nodes: GraphNodes, params: EvaluationParams) -> Findings:
-    """A warning for every stretch whose predicted deviation per axis exceeds `sigma_max_m`; none without a limit.
+def sigma_findings(
+    graph_nodes: GraphNodes,
+    params: EvaluationParams,
+    gnss_use: GnssUse | None = None,
+    graph_figures: GraphFigures | None = None,
+) -> Findings:
+    """A warning for every stretch whose predicted deviation per axis exceeds `sigma_max_m`, none without a limit, and
+    what is odd about heights.
 
-    The id of a finding is the row of the first pose of its stretch in the SLAM trajectory.
+    The id of a finding is the row of the first pose of its stretch in the SLAM trajectory, or of the first fix.
     """
     sigma = axis_sigma_m(graph_nodes)
     along = arc_length_m(graph_nodes.source_xyz_m[:, :2])
@@ -34,7 +41,13 @@ def sigma_findings(graph_nodes: GraphNodes, params: EvaluationParams) -> Finding
             f"predicted deviation up to {sigma[first : last + 1].max():.3f} m per axis, limit {limit:g} m"
         )
     code, severity, primitive = (strings([word] * len(found)) for word in (CODE, "warning", "pose"))
-    return Findings(code, severity, primitive, rows[found[:, 0]].astype(np.int64), strings(message))
+    over = Findings(code, severity, primitive, rows[found[:, 0]].astype(np.int64), strings(message))
+    if gnss_use is None or graph_figures is None:
+        return over
+    more = height_findings(gnss_use, graph_figures)
+    return Findings(
+        *(np.concatenate([getattr(f, name) for f in (over, more)]) for name in Findings.__slots__)
+    )
 
 
 def axis_sigma_m(nodes: GraphNodes) -> Floats:

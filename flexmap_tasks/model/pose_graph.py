@@ -132,3 +132,20 @@ class HeldOut:
 
     def __len__(self) -> int:
         return len(self.row)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class HeldOutHeights:
+    """Adjusted heights of the antenna less altitudes that were withheld, one row per altitude that could be asked.
+
+    row : (n,) int64, row of the SLAM trajectory; along_m : (n,) float64, place on SLAM's way
+    error_m : (n,) float64; sigma_m : (n,) float64, what the solution itself predicted of the body's height
+    """
+
+    row: Ints
+    along_m: Floats
+    error_m: Floats
+    sigma_m: Floats
+
+    def __len__(self) -> int:
+        return len(self.row)

@@ -8,8 +8,11 @@ import numpy as np
 import pytest
 
 from flexmap_tasks.alignment.altitudes import NEVER_MEASURED, NO_ALTITUDE, STANDS_OFF, ZERO, measured
+from flexmap_tasks.alignment.heldout_height import heldout_heights
 from flexmap_tasks.alignment.pose_graph import pose_graph
-from flexmap_tasks.config import PoseGraphParams
+from flexmap_tasks.config import EvaluationParams, GraphHeldOutParams, PoseGraphParams
+from flexmap_tasks.evaluation.graph_quality import graph_measures
+from flexmap_tasks.evaluation.sigma_findings import sigma_findings
 from flexmap_tasks.model.pose_graph import PoseGraph
 from tests.climbs import Up, climbed
 from tests.drives import HERE, Driven, driven, untimed
@@ -147,3 +150,33 @@ def test_one_altitude_lifts_all_of_the_drive() -> None:
     assert np.abs(error_m(drive, graph)).max() < 6.0
     assert np.isfinite(graph.nodes.sigma_m[:, 2]).all()
     assert np.ptp(lift) < 4.0  # nothing tells a tilt
+
+
+def test_altitudes_that_were_withheld_are_met() -> None:
+    up = Up(steps=((800, 1100, 10.0),), slow_m=0.03, stated=True)
+    drive = climbed(driven(2500, 2), up, 2)
+    params = GraphHeldOutParams(graph=PoseGraphParams(antenna_up_m=up.lever_up_m))
+    judged = heldout_heights(drive.slam, drive.gnss, HERE, params)
+    assert len(judged) > 1500
+    middle = np.abs(judged.error_m)
+    assert np.percentile(middle, 90) < 0.15
+    assert 0.3 < np.median(middle) / np.median(judged.sigma_m) < 2.0
+    inside = (judged.along_m > 820) & (judged.along_m < 1080)
+    assert not inside.any()  # a stretch that stands off has no height to be met
+
+
+def test_what_is_odd_about_altitudes_is_found() -> None:
+    up = Up(steps=((800, 1100, 10.0),))
+    graph = adjusted(climbed(driven(2500, 2), up, 2), up)
+    found = sigma_findings(graph.nodes, EvaluationParams(), graph.gnss_use, graph.figures)
+    assert found.code.tolist() == ["altitude-left-out"]
+    assert STANDS_OFF in found.message[0]
+    incomplete = dataclasses.replace(graph.figures, height="model, vertical datum X", height_share=0.6)
+    found = sigma_findings(graph.nodes, EvaluationParams(), graph.gnss_use, incomplete)
+    assert found.code.tolist() == ["altitude-left-out", "height-model-incomplete"]
+    names = {
+        m.name: m.value
+        for m in graph_measures(graph.figures, graph.nodes, graph.gnss_use, None, EvaluationParams())
+    }
+    assert names["altitudes_used"] > 2000
+    assert names["predicted_sigma_up_rmse"] < 0.1
