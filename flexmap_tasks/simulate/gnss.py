@@ -63,7 +63,7 @@ def make_gnss(world: World, drive: Drive) -> GnssMessages:
     error[:, :2] += rng.normal(0.0, plan.standstill_sigma_m, (len(time), 2)) * stand[:, None]
     multipath = _reflected(world, s, error)
     jump = _jumps(world, error)
-    error[:, 2] += plan.altitude_bias_m
+    error[:, 2] += plan.altitude_bias_m + _altitude_steps(world, s)
     sigma = np.hypot(white, slow)[:, None] * axes
     outage = _in_stretches(stream(world.seed, "outages"), s, plan.outages, plan.outage_length_m) >= 0
     status = np.where(outage, NO_FIX, MODE_STATUS[mode])
@@ -123,6 +123,24 @@ def _jumps(world: World, error: Floats) -> Bools:
     hit = np.zeros(len(error), dtype=bool)
     hit[rows] = True
     return hit
+
+
+def _altitude_steps(world: World, s: Floats) -> Floats:
+    """(n,) what the altitudes of whole stretches are off by."""
+    plan, rng = world.gnss, stream(world.seed, "altitude_steps")
+    stretch = _in_stretches(rng, s, plan.altitude_steps, plan.altitude_step_length_m)
+    way = rng.choice([-1.0, 1.0], max(1, plan.altitude_steps))
+    return np.where(stretch >= 0, plan.altitude_step_m * way[stretch], 0.0)
+
+
+def stated_altitudes(world: World, altitude_m: Floats) -> Floats:
+    """(n,) altitudes as the receiver writes them: rounded, or none at all."""
+    plan = world.gnss
+    if plan.altitude != "measured":
+        return np.full(len(altitude_m), 0.0 if plan.altitude == "zero" else np.nan)
+    if plan.altitude_resolution_m == 0.0:
+        return altitude_m
+    return np.asarray(np.round(altitude_m / plan.altitude_resolution_m) * plan.altitude_resolution_m)
 
 
 def _claimed(world: World, sigma: Floats) -> Floats:

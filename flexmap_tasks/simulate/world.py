@@ -108,6 +108,13 @@ class GnssSettings(Params):
     dropped_share: Share = 0.0
     standstill_sigma_m: NonNegative = Field(0.0, description="scatter while the vehicle stands")
     altitude_bias_m: Metres = 0.0
+    altitude_steps: Count = Field(0, description="stretches whose altitude is off as a whole, up or down")
+    altitude_step_m: NonNegative = 10.0
+    altitude_step_length_m: Positive = 200.0
+    altitude_resolution_m: NonNegative = Field(0.0, description="what altitudes are rounded to; 0 for not")
+    altitude: Literal["measured", "zero", "none"] = Field(
+        "measured", description="loggers without altitude write 0, or NaN"
+    )
     clock_offset_s: Annotated[float, Field(ge=-10, le=10)] = Field(
         0.0, description="GNSS stamp minus SLAM stamp of one moment"
     )
@@ -232,8 +239,9 @@ class World(Params):
             gnss=dict.fromkeys(
                 ("white_sigma_m", "slow_sigma_m", "float_share", "dgps_share", "single_share",
                  "multipath_stretches", "outages", "jumps", "doubled_share", "dropped_share",
-                 "standstill_sigma_m", "altitude_bias_m", "clock_offset_s"), 0
-            ) | {"lever_arm_m": (0.0, 0.0, 0.0), "covariance": "honest"},
+                 "standstill_sigma_m", "altitude_bias_m", "altitude_steps",
+                 "altitude_resolution_m", "clock_offset_s"), 0
+            ) | {"lever_arm_m": (0.0, 0.0, 0.0), "covariance": "honest", "altitude": "measured"},
             slam=dict.fromkeys(
                 ("yaw_walk_mrad_per_sqrt_m", "pitch_walk_mrad_per_sqrt_m", "scale_sigma",
                  "position_walk_m_per_sqrt_m",

@@ -19,6 +19,7 @@ from flexmap_tasks.formats.track_text_write import csv_text, kitti_text, tum_tex
 from flexmap_tasks.model.source import Source
 from flexmap_tasks.simulate.cloud import CloudChunk, make_cloud
 from flexmap_tasks.simulate.generate import Simulation, picked_rows, picked_targets, simulate
+from flexmap_tasks.simulate.gnss import stated_altitudes
 from flexmap_tasks.simulate.scans import make_scans
 from flexmap_tasks.simulate.topology import read_topology
 from flexmap_tasks.simulate.truth import Table, frame_table, gnss_table, node_table, pose_table, stamps_ns
@@ -62,6 +63,7 @@ def _write_tracks(simulation: Simulation, folder: Path) -> None:
     world, slam, gnss = simulation.world, simulation.slam, simulation.gnss
     stamp = stamps_ns(world, slam.time_s)
     fixes = simulation.frame.geodetic(gnss.antenna_m + gnss.error_m)
+    fixes[:, 2] = stated_altitudes(world, fixes[:, 2])
     fixes[gnss.status < 0] = np.nan
     topics: dict[str, tuple[str, Iterator[Stamped]]] = {
         GNSS_TOPIC: (

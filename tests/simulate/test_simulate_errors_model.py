@@ -7,6 +7,7 @@ import pytest
 from scipy.spatial import cKDTree
 
 from flexmap_tasks.simulate.generate import simulate
+from flexmap_tasks.simulate.gnss import stated_altitudes
 
 
 def gnss(world, **settings):
@@ -47,6 +48,23 @@ def test_multipath_is_a_constant_offset_over_its_stretch(long_town):
     assert np.ptp(off[bent.multipath], axis=0).max() < 1e-9
     assert not off[~bent.multipath].any()
     assert bent.multipath.any()
+
+
+def test_altitudes_step_are_rounded_or_missing(long_town):
+    plain, off = gnss(long_town), gnss(long_town, altitude_steps=2, altitude_step_m=7.0)
+    up = off.error_m - plain.error_m
+    assert not up[:, :2].any()
+    assert np.allclose(np.abs(up[up[:, 2] != 0.0, 2]), 7.0)
+    assert 0.02 < (up[:, 2] != 0.0).mean() < 0.3
+    altitude = np.array([480.26, 479.9])
+    for settings, stated in (
+        ({}, altitude),
+        ({"altitude_resolution_m": 0.5}, [480.5, 480.0]),
+        ({"altitude": "zero"}, [0.0, 0.0]),
+        ({"altitude": "none"}, [np.nan, np.nan]),
+    ):
+        world = long_town.changed(gnss=settings)
+        assert np.allclose(stated_altitudes(world, altitude), stated, equal_nan=True)
 
 
 def test_outages_are_silent_or_say_that_there_is_no_fix(long_town):
