@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -73,17 +74,18 @@ def driven(
     biases: tuple[Bias, ...] = (),
     slam_s: float = 0.2,
     gnss_s: float = 0.1,
+    way: Callable[[float, np.random.Generator], np.ndarray] | None = None,
 ) -> Driven:
-    """One drive at about 9 m/s; GNSS stamps are `OFFSET_S` early."""
+    """One drive at about 9 m/s through a town or along another way; GNSS stamps are `OFFSET_S` early."""
     rng = np.random.default_rng(seed)
-    road = town(length_m, rng)
+    road = (way or town)(length_m, rng)
     arc = np.concatenate([[0], np.cumsum(np.hypot(*np.diff(road, axis=0).T))])
     heading = np.unwrap(np.arctan2(*np.gradient(road, axis=0).T[::-1]))
     time = np.arange(0, arc[-1] / 9.0, 0.1)
-    way = np.maximum.accumulate(9.0 * time + 12 * np.sin(time / 6))
+    driven_m = np.maximum.accumulate(9.0 * time + 12 * np.sin(time / 6))
 
     def pose(at: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        s = np.clip(np.interp(at, time, way), 0, arc[-1])
+        s = np.clip(np.interp(at, time, driven_m), 0, arc[-1])
         xyz = np.column_stack([*(np.interp(s, arc, c) for c in road.T), 4 * np.sin(s / 250)])
         return xyz, np.interp(s, arc, heading), s
 

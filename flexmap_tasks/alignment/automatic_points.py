@@ -11,7 +11,8 @@ from scipy.ndimage import median_filter
 from flexmap_tasks.alignment.correspondence import covered, gnss_seconds, timed_start
 from flexmap_tasks.alignment.drive import Drive, drive_of
 from flexmap_tasks.alignment.gnss_line import GnssLine, driven_line
-from flexmap_tasks.alignment.rigid_start import rigid_start, track_heading
+from flexmap_tasks.alignment.overlap import refuse_other_shape
+from flexmap_tasks.alignment.rigid_start import rigid_start
 from flexmap_tasks.alignment.rubber_sheet import sheet_through, stretches
 from flexmap_tasks.config import AutomaticControlPointsParams
 from flexmap_tasks.engine.stage import stage
@@ -19,6 +20,7 @@ from flexmap_tasks.errors import AlignmentError
 from flexmap_tasks.geometry.polyline import arc_length_m
 from flexmap_tasks.geometry.rigid import PlanarFit
 from flexmap_tasks.geometry.se2 import wrapped
+from flexmap_tasks.geometry.turns import track_heading
 from flexmap_tasks.model.alignment import ControlPoints, RigidMotion, Warp
 from flexmap_tasks.model.arrays import Floats, Ints, strings
 from flexmap_tasks.model.tracks import GnssTrack, Trajectory
@@ -207,7 +209,9 @@ def _offset(drive: Drive, line: GnssLine, seconds: Floats, fit: PlanarFit, offse
 
 def _by_shape(drive: Drive, line: GnssLine) -> tuple[Ints, Floats, Floats]:
     """The same for every node of a drive without time."""
-    _, along = rigid_start(drive.pose[drive.node, :2], line)
+    start = rigid_start(drive.pose[drive.node], line)
+    refuse_other_shape(start, drive.pose[drive.node, :2], line)
+    along = np.clip(start.along_m, 0.0, line.along_m[-1])
     return drive.node.astype(np.int64), drive.pose[drive.node, :2], along
 
 

@@ -11,6 +11,7 @@ from flexmap_tasks.alignment.gnss_line import GnssLine
 from flexmap_tasks.geometry.graph2d import Fix, State
 from flexmap_tasks.geometry.rigid import PlanarFit, fit_planar_motion
 from flexmap_tasks.geometry.se2 import rotated, wrapped
+from flexmap_tasks.geometry.turns import track_heading
 from flexmap_tasks.model.arrays import Bools, Floats, Ints
 from flexmap_tasks.model.tracks import GnssTrack
 
@@ -57,7 +58,9 @@ def by_shape(state: State, line: GnssLine, along_m: Floats, sigma_m: Floats) -> 
     node = np.flatnonzero(seen & ends & (np.abs(along_gap) < 1.0))
     row = np.clip(np.searchsorted(line.along_m, s[node]), 0, len(line.fix) - 1)
     zero = np.zeros((len(node), 2))
-    fix = Fix(node, zero, zero[:, 0], zero, line.at(s[node]), heading[node] + np.pi / 2)
+    # the antenna's own way is smoother than the line: a noisy direction would pass for knowledge of the place along
+    across = track_heading(antenna)[node] + np.pi / 2
+    fix = Fix(node, zero, zero[:, 0], zero, line.at(s[node]), across)
     return Correspondence(fix, row, sigma_m[row])
 
 

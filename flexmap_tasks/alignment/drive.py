@@ -6,10 +6,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from flexmap_tasks.alignment.rigid_start import track_heading
 from flexmap_tasks.geometry.polyline import steps_m
 from flexmap_tasks.geometry.se2 import along_arc, wrapped
-from flexmap_tasks.geometry.turns import yaw_rad
+from flexmap_tasks.geometry.turns import track_heading, yaw_rad
 from flexmap_tasks.model.arrays import Floats, Ints
 from flexmap_tasks.model.tracks import Trajectory
 

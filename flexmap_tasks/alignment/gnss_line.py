@@ -38,7 +38,7 @@ class GnssLine(NamedTuple):
         """(n, 2) places at arc lengths."""
         return np.column_stack([np.interp(along_m, self.along_m, column) for column in self.xy_m.T])
 
-    def heading_at(self, along_m: Floats, reach_m: float = 1.0) -> Floats:
+    def heading_at(self, along_m: Floats, reach_m: float = 3.0) -> Floats:
         """(n,) direction of travel at arc lengths, over a step of twice `reach_m`."""
         step = self.at(along_m + reach_m) - self.at(along_m - reach_m)
         heading: Floats = np.arctan2(step[:, 1], step[:, 0])

@@ -7,14 +7,14 @@ import numpy as np
 from flexmap_tasks.alignment.correspondence import slide
 from flexmap_tasks.alignment.gnss_line import GnssLine, driven_line
 from flexmap_tasks.alignment.pose_graph import checked_drive, first_stamp, no_control
-from flexmap_tasks.alignment.rigid_start import track_heading
-from flexmap_tasks.alignment.solve import MULTIPATH, solve
+from flexmap_tasks.alignment.solve import MULTIPATH, Solved, solve
 from flexmap_tasks.config import GraphHeldOutParams
 from flexmap_tasks.engine.stage import stage
 from flexmap_tasks.geometry.graph2d import State
 from flexmap_tasks.geometry.monotone import associate
 from flexmap_tasks.geometry.normal_equations import inverse_on_pattern
 from flexmap_tasks.geometry.se2 import rotated
+from flexmap_tasks.geometry.turns import track_heading
 from flexmap_tasks.model.arrays import Bools, Floats, Strings
 from flexmap_tasks.model.pose_graph import HeldOut
 from flexmap_tasks.model.projection import Projection
@@ -37,7 +37,7 @@ def heldout(slam: Trajectory, gnss: GnssTrack, projection: Projection, params: G
     whole = solve(drive, gnss, first, log_scale, control, params.graph)
     off = _switched_off(whole.reason)
     line, _ = driven_line(gnss, off)
-    where = _places(line, _antenna(whole.solution.state), whole.along_m)
+    where = _places(line, _antenna(whole.solution.state), _on(line, whole))
     fold = (where // params.block_m).astype(np.int64) % params.folds
     of_fix = np.interp(np.arange(len(gnss)), line.fix, line.along_m)
     fix_fold = (of_fix // params.block_m).astype(np.int64) % params.folds
@@ -56,6 +56,15 @@ def heldout(slam: Trajectory, gnss: GnssTrack, projection: Projection, params: G
         sigma[asked] = np.sqrt(np.maximum(variance[:, :2].mean(axis=1), 0.0))[asked]
     asked = np.isfinite(gap)
     return HeldOut(drive.node[asked].astype(np.int64), where[asked], gap[asked], sigma[asked])
+
+
+def _on(line: GnssLine, whole: Solved) -> Floats | None:
+    """The association of the whole solution on a line with fewer fixes, which is shorter where they are missing."""
+    if whole.along_m is None:
+        return None
+    kept, same = np.isin(whole.line.fix, line.fix), np.isin(line.fix, whole.line.fix)
+    along: Floats = np.interp(whole.along_m, whole.line.along_m[kept], line.along_m[same])
+    return along
 
 
 def _switched_off(reason: Strings) -> Bools:

@@ -26,7 +26,8 @@ STEP_M = 3.0
 """SLAM noise is stated over this way and grows with its root."""
 
 UNTIMED_ALONG_M = 20.0
-"""Without time a fix says next to nothing along the track; this only keeps the equations regular."""
+"""Without time fixes say nothing along the track: all of them together as much as one of this deviation, which only
+keeps the equations regular."""
 
 LEVER_M, SCALE = 3.0, 0.01
 """What is known beforehand of lever arm (a car's size) and SLAM scale, one standard deviation."""
@@ -73,7 +74,7 @@ def groups_of(known: Known, found: Correspondence, state: State) -> list[Group]:
         _shared(known, state),
     ]
     if not known.timed:
-        far = np.full(count, UNTIMED_ALONG_M)
+        far = np.full(count, UNTIMED_ALONG_M * np.sqrt(count))
         out.append(Group(fixes.residual[1::2], fixes.jacobian[1::2], far, None, -1))
     if len(known.control.node):
         control = fix_rows(state, known.control, antenna=False)

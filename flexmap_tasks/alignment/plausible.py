@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 
 from flexmap_tasks.alignment.drive import Drive
-from flexmap_tasks.alignment.gnss_line import GnssLine
 from flexmap_tasks.alignment.solve import Solved
 from flexmap_tasks.errors import AlignmentError
 from flexmap_tasks.geometry.polyline import arc_length_m
@@ -20,10 +19,6 @@ CHORD_M, STEEP_SHARE = 10.0, 0.05
 
 BEND_M, MAX_BEND = 100.0, 0.5
 """SLAM over this way, or half of a shorter drive, is wrong by some percent at most, never by half of it."""
-
-MIN_MATCHED = 0.75
-"""Share of the shorter track that runs along the other where no time says what belongs together. In simulated towns
-of one grid other drives share up to 0.74; tracks of one drive share 0.9 and more, or lie tens of metres off."""
 
 MAX_SIGMA_M = 1.0
 """Predicted deviation per axis of half of all poses: beyond it the tracks do not say where the drive lies."""
@@ -57,7 +52,7 @@ def refuse_steep(xyz_m: Floats) -> None:
 
 
 def refuse_other_drive(drive: Drive, solved: Solved) -> None:
-    """Raises AlignmentError when SLAM could only be laid on GNSS by force, or hardly any of it could."""
+    """Raises AlignmentError when SLAM could only be laid on GNSS by force."""
     refuse_still(solved.line.xy_m, "GNSS track")
     bend = _bend(drive.pose[drive.node], solved.solution.state.pose)
     if bend > MAX_BEND:
@@ -66,23 +61,17 @@ def refuse_other_drive(drive: Drive, solved: Solved) -> None:
             f"SLAM and GNSS cannot be one drive: a tenth of the SLAM trajectory would have to be bent by {bend:.0%} "
             f"of its way over {BEND_M:g} m; check that both files are of the same drive and their axes right-handed",
         )
-    matched = 1.0 if solved.timed else _matched(drive, solved)
-    if matched < MIN_MATCHED:
-        raise AlignmentError(
-            "tracks",
-            f"SLAM and GNSS do not fit by their shapes: only {matched:.0%} of the shorter one runs along the other, "
-            f"{MIN_MATCHED:.0%} are needed; check that both files are of the same drive, or give both time stamps",
-        )
 
 
 def refuse_unsure(sigma_m: Floats) -> None:
-    """Raises AlignmentError when half of the poses are not known to `MAX_SIGMA_M` per axis. (n, 2)"""
+    """Raises AlignmentError when half of the poses that have fixes are not known to `MAX_SIGMA_M` per axis. (n, 2)"""
     typical = float(np.median(np.sqrt((sigma_m**2).mean(axis=1))))
     if typical > MAX_SIGMA_M:
         raise AlignmentError(
             "tracks",
-            f"SLAM and GNSS do not say where along its way the drive lies: half of the poses are known to "
-            f"{typical:.1f} m or worse, {MAX_SIGMA_M:g} m is needed; drive at least one turn, or give control points",
+            f"SLAM and GNSS do not say where along its way the drive lies: half of the poses beside GNSS are "
+            f"known to {typical:.1f} m or worse, {MAX_SIGMA_M:g} m is needed; drive at least one turn, or give "
+            "control points",
         )
 
 
@@ -94,15 +83,3 @@ def _bend(source: Floats, adjusted: Floats) -> float:
     last = np.searchsorted(along, along[first] + way)
     gap = between(source[first], source[last]) - between(adjusted[first], adjusted[last])
     return float(np.percentile(np.hypot(gap[:, 0], gap[:, 1]), 90) / way)
-
-
-def _matched(drive: Drive, solved: Solved) -> float:
-    """Way of the nodes that have a place on the line, as a share of the shorter of the two tracks."""
-    along = arc_length_m(drive.pose[drive.node, :2])
-    way = float(np.gradient(along)[np.unique(solved.found.fix.node)].sum())
-    return way / max(min(float(along[-1]), _seen_m(solved.line)), 1e-9)
-
-
-def _seen_m(line: GnssLine) -> float:
-    """Length of the line where GNSS saw it."""
-    return float(np.diff(line.along_m)[line.seen[1:]].sum())

@@ -61,7 +61,7 @@ def pose_graph(
     refuse_other_drive(drive, solved)
     up = raised(slam, gnss, drive, solved, projection, params, height_model)
     nodes = _nodes(drive, solved, up)
-    refuse_unsure(nodes.sigma_m[:, :2])
+    refuse_unsure(nodes.sigma_m[np.unique(solved.found.fix.node), :2])
     return PoseGraph(
         _motion(solved),
         nodes,

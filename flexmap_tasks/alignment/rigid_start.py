@@ -1,145 +1,142 @@
-"""A rigid start without luck: any rotation, any start, partly overlapping tracks."""
+"""A start without luck for tracks without time: any rotation, any beginning, partly overlapping tracks."""
 
 from __future__ import annotations
 
 from typing import NamedTuple
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from flexmap_tasks.alignment.gnss_line import GnssLine
-from flexmap_tasks.geometry.monotone import associate
+from flexmap_tasks.alignment.laying import Samples, laid_on, one_motion
+from flexmap_tasks.alignment.shape_seeds import EvenTrack, even_track, seeds_between
+from flexmap_tasks.errors import AlignmentError
+from flexmap_tasks.geometry.colinear import Seeds, best_chain
 from flexmap_tasks.geometry.polyline import arc_length_m
-from flexmap_tasks.geometry.rigid import PlanarFit, fit_planar_motion
-from flexmap_tasks.geometry.se2 import rotated, wrapped
-from flexmap_tasks.model.arrays import Bools, Floats, Ints
+from flexmap_tasks.geometry.rigid import PlanarFit
+from flexmap_tasks.model.arrays import Bools, Floats
 
-SAMPLE_M, WINDOW = 5.0, 60
-"""Pieces of 300 m are compared: long enough to have a shape, short enough to have little drift."""
+APART_M, APART_SHARE = 20.0, 0.04
+"""Another hypothesis puts pieces this far from where the best one does, more the further its pieces are away."""
 
-NEAR_M, ALIKE_RAD = 10.0, 0.6
-"""A pose supports a hypothesis when the line runs this near, in this direction."""
+CLEARLY = 1.5
+"""One hypothesis is better than another beyond doubt when so many times as much agrees with it."""
 
-LINE_M, COARSE_M, BAND_M = 1.0, 6.0, 60.0
-"""Spacing of the line's samples, of the first coarse ones, and how far a second look leaves the first."""
+TWISTED = 0.05
+"""Share of the poses that may have turned around once more than the line beside them, by noise or a wrong fix."""
 
-CAUCHY_M = 1.0
-"""Misfit at which a pose counts half in the rigid fit."""
-
-_ROUNDS = 6
+CHORD_PIECES, CHORD_M, SCALED = 12, 150.0, 0.005
+"""Pieces so many further on in the chain and this far away tell the scale; from which deviation on SLAM is scaled."""
 
 
-def rigid_start(slam_xy_m: Floats, line: GnssLine) -> tuple[PlanarFit, Floats]:
-    """The motion that most of the drive agrees with, and the arc length of the line at every pose.
+class Start(NamedTuple):
+    """How a drive without time lies on the GNSS line.
 
-    Every piece of the SLAM track is laid on every piece of the line by its shape alone; the motion that
-    the most poses support wins and is refined with a monotone association of the whole drive.
-    slam_xy_m : (n, 2)
+    fit : the one rigid motion that fits the most of it; pose : (n, 3) the poses moved piece by piece
+    along_m : (n,) arc length of the line at every pose, beyond its ends where the drive is
+    gap_m : (n,) distance from its place on the line; NaN beyond the ends and where nobody saw the line
+    distinct_m : way of pieces with a shape of their own that agree with this
+    chance_m : the same of the best agreement that is certainly chance; backwards_m : of the drive the other way
+    backwards : whether the two tracks run in opposite directions
     """
-    fit = _best_of(_hypotheses(slam_xy_m, line), slam_xy_m, line)
-    coarse = _Samples.of(line, COARSE_M)
-    thin = np.arange(0, len(slam_xy_m), max(int(COARSE_M / max(_spacing(slam_xy_m), 1e-6)), 1))
-    for _ in range(2):
-        place = coarse.associated(slam_xy_m[thin], fit, None)
-        fit = _refined(fit, slam_xy_m[thin], coarse, place)
-    fine = _Samples.of(line, LINE_M)
-    along = np.interp(np.arange(len(slam_xy_m)), thin, coarse.along_m[place])
-    for _ in range(_ROUNDS):
-        place = fine.associated(slam_xy_m, fit, along)
-        fit, along = _refined(fit, slam_xy_m, fine, place), fine.along_m[place]
-    return fit, along
 
-
-class _Samples(NamedTuple):
-    """The line at even spacing."""
-
+    fit: PlanarFit
+    pose: Floats
     along_m: Floats
-    xy_m: Floats
-    heading: Floats
-    seen: Bools
-
-    @classmethod
-    def of(cls, line: GnssLine, spacing_m: float) -> _Samples:
-        along = np.arange(0.0, line.along_m[-1] + spacing_m / 2, spacing_m)
-        return cls(along, line.at(along), line.heading_at(along), line.seen_at(along))
-
-    def associated(self, slam_xy_m: Floats, fit: PlanarFit, near_m: Floats | None) -> Ints:
-        """The sample of every pose; within `BAND_M` of an arc length when one is given."""
-        moved = slam_xy_m @ fit.rotation.T + fit.translation
-        first, width = None, None
-        if near_m is not None:
-            lowest = np.minimum(near_m, np.minimum.accumulate(near_m[::-1])[::-1]) - BAND_M
-            first = np.searchsorted(self.along_m, np.maximum(lowest, 0.0))
-            width = min(int(2 * BAND_M / (self.along_m[1] - self.along_m[0])), len(self.along_m))
-        return associate(moved, track_heading(moved), self.xy_m, self.heading, self.seen, first, width)
+    gap_m: Floats
+    distinct_m: float
+    chance_m: float
+    backwards_m: float
+    backwards: bool
 
 
-def _refined(fit: PlanarFit, slam_xy_m: Floats, samples: _Samples, place: Ints) -> PlanarFit:
-    """The rigid fit again, every pose weighted by its misfit."""
-    target, seen = samples.xy_m[place], np.where(samples.seen[place], 1.0, 1e-6)
-    for _ in range(5):
-        gap = np.hypot(*(target - slam_xy_m @ fit.rotation.T - fit.translation).T)
-        fit = fit_planar_motion(slam_xy_m, target, seen / (1.0 + (gap / CAUCHY_M) ** 2))
-    return fit
+class _Found(NamedTuple):
+    """Alike pieces of SLAM and the line, and the best chain of them with its distinctive way; back : backwards."""
+
+    seeds: Seeds
+    distinct_m: float
+    chain: Seeds
+    back: Seeds
+    backwards_m: float
+    back_chain: Seeds
 
 
-def _spacing(xy_m: Floats) -> float:
-    return float(np.median(np.hypot(*np.diff(xy_m, axis=0).T)))
+def rigid_start(pose: Floats, line: GnssLine) -> Start:
+    """Pieces of SLAM and line that look alike, chained in the order of both; then a monotone association around that.
+
+    pose : (n, 3)
+    Raises AlignmentError when no piece of one track looks like one of the other.
+    """
+    gnss, samples = even_track(line.xy_m, line.along_m, line.seen), Samples.of(line)
+    found, scale = _found(pose[:, :2], gnss), 1.0
+    if not len(found.chain.first_m):
+        raise AlignmentError("tracks", _strangers(found.backwards_m))
+    wanted = _scale(pose[:, :2], found.chain, gnss)
+    if abs(wanted - 1.0) > SCALED:
+        scale = wanted
+        again = _found(scale * pose[:, :2], gnss)
+        found, scale = (again, scale) if again.distinct_m >= found.distinct_m else (found, 1.0)
+    xy_m = scale * pose[:, :2]
+    way = arc_length_m(xy_m)
+    laid = laid_on(xy_m, way, samples, found.chain)
+    alike = max(best_chain(s.take(np.abs(s.source - s.target) > APART_M))[0] for s in _alike_on(gnss))
+    second = best_chain(found.seeds.take(_elsewhere(found.seeds, found.seeds.first_m, found.chain)))[0]
+    third = best_chain(found.back.take(_elsewhere(found.back, way[-1] - found.back.first_m, found.chain)))[0]
+    opposite = found.backwards_m > CLEARLY * max(found.distinct_m, alike)
+    if not opposite and CLEARLY * found.backwards_m > found.distinct_m:
+        # out and back on one road looks alike both ways, but for its turns
+        other = laid_on(xy_m[::-1], way[-1] - way[::-1], samples, found.back_chain)
+        opposite = laid.twisted() > other.twisted() + TWISTED
+    moved = np.column_stack([laid.motions.apply(xy_m, way), pose[:, 2] + laid.motions.turn_at(way)])
+    gap = np.hypot(*(line.at(laid.along_m) - moved[:, :2]).T)
+    gap[(laid.along_m < 0) | (laid.along_m > line.along_m[-1]) | ~line.seen_at(laid.along_m)] = np.nan
+    return Start(
+        fit=one_motion(pose[laid.inside, :2], laid),
+        pose=moved,
+        along_m=laid.along_m,
+        gap_m=gap,
+        distinct_m=found.distinct_m,
+        chance_m=max(alike, second, third),
+        backwards_m=found.backwards_m,
+        backwards=opposite,
+    )
 
 
-def track_heading(xy_m: Floats) -> Floats:
-    """(n,) direction of travel by the neighbours of every pose."""
-    step = np.gradient(xy_m, axis=0)
-    heading: Floats = np.arctan2(step[:, 1], step[:, 0])
-    return heading
+def _found(xy_m: Floats, gnss: EvenTrack) -> _Found:
+    slam = even_track(xy_m, arc_length_m(xy_m))
+    seeds, back = seeds_between(slam, gnss), seeds_between(slam, gnss, backwards=True)
+    (distinct, rows), (backwards, back_rows) = best_chain(seeds), best_chain(back)
+    return _Found(seeds, distinct, seeds.take(rows), back, backwards, back.take(back_rows))
 
 
-def _even(xy_m: Floats, along: Floats) -> Floats:
-    wanted = np.arange(0.0, along[-1], SAMPLE_M)
-    return np.column_stack([np.interp(wanted, along, column) for column in xy_m.T])
+def _scale(xy_m: Floats, chain: Seeds, gnss: EvenTrack) -> float:
+    """Typical ratio of chords of the line to those of SLAM, (n, 2), between middles of pieces; 1 where too few."""
+    slam = even_track(xy_m, arc_length_m(xy_m))
+    ends = ((slam, chain.first_m), (gnss, chain.second_m))
+    middle = [
+        np.interp(along, t.along_m, t.xy.real) + 1j * np.interp(along, t.along_m, t.xy.imag)
+        for t, along in ends
+    ]
+    of_slam, of_line = (np.abs(m[CHORD_PIECES:] - m[:-CHORD_PIECES]) for m in middle)
+    far = of_slam > CHORD_M
+    return float(np.median(of_line[far] / of_slam[far])) if far.sum() > CHORD_PIECES else 1.0
 
 
-def _hypotheses(slam_xy_m: Floats, line: GnssLine) -> list[tuple[float, Floats]]:
-    """Angle and translation of every good pair of pieces, by the correlation of their shapes."""
-    slam, gnss = _even(slam_xy_m, arc_length_m(slam_xy_m)), _even(line.xy_m, line.along_m)
-    window = max(min(WINDOW, len(slam) // 2, len(gnss) // 2), 3)
-    a, b = (np.lib.stride_tricks.sliding_window_view(t @ (1, 1j), window) for t in (slam, gnss))
-    a = a[:: max(window // 3, 1)]
-    mean_a, mean_b = a.mean(axis=1), b.mean(axis=1)
-    a, b = a - mean_a[:, None], b - mean_b[:, None]
-    product = a.conj() @ b.T
-    left = (np.abs(a) ** 2).sum(axis=1)[:, None] + (np.abs(b) ** 2).sum(axis=1) - 2 * np.abs(product)
-    out = []
-    for k in range(len(a)):
-        best = _separate_minima(left[k], window // 4, 4)
-        for j in best:
-            angle = float(np.angle(product[k, j]))
-            shift = mean_b[j] - mean_a[k] * np.exp(1j * angle)
-            out.append((angle, np.array([shift.real, shift.imag])))
+def _strangers(backwards_m: float) -> str:
+    why = "check that both files are of the same drive"
+    if backwards_m > 0.0:
+        why = "they run in opposite directions"
+    return f"SLAM and GNSS do not fit by their shapes: no piece of one looks like a piece of the other; {why}"
+
+
+def _alike_on(line: EvenTrack) -> tuple[Seeds, Seeds]:
+    """Pieces of a line that look like others of it, driven one way and the other."""
+    return seeds_between(line, line), seeds_between(line, line, backwards=True)
+
+
+def _elsewhere(seeds: Seeds, way_m: Floats, chain: Seeds) -> Bools:
+    """(k,) seeds that put their piece of SLAM, at ways (k,), elsewhere than the chain does."""
+    near = np.clip(np.searchsorted(chain.first_m, way_m), 0, len(chain.first_m) - 1)
+    there = chain.target[near] + np.exp(1j * chain.turn_rad[near]) * (seeds.source - chain.source[near])
+    apart = np.abs(there - seeds.target)
+    out: Bools = apart > APART_M + APART_SHARE * np.abs(way_m - chain.first_m[near])
     return out
-
-
-def _separate_minima(values: Floats, apart: int, count: int) -> list[int]:
-    found: list[int] = []
-    for j in np.argsort(values, kind="stable")[: 50 * count].tolist():
-        if all(abs(j - other) > apart for other in found):
-            found.append(j)
-        if len(found) == count:
-            break
-    return found
-
-
-def _best_of(hypotheses: list[tuple[float, Floats]], slam_xy_m: Floats, line: GnssLine) -> PlanarFit:
-    slam, gnss = _even(slam_xy_m, arc_length_m(slam_xy_m)), _even(line.xy_m, line.along_m)
-    tree, gnss_heading, slam_heading = cKDTree(gnss), track_heading(gnss), track_heading(slam)
-    best, support = (0.0, np.zeros(2)), -1.0
-    for angle, shift in hypotheses:
-        found = tree.query(rotated(slam, angle) + shift, distance_upper_bound=5 * NEAR_M)
-        gap, near = np.asarray(found[0]), np.asarray(found[1])
-        reached = np.isfinite(gap)
-        turn = wrapped(slam_heading[reached] + angle - gnss_heading[near[reached]])
-        score = (np.exp(-((gap[reached] / NEAR_M) ** 2)) * (np.abs(turn) < ALIKE_RAD)).sum()
-        if score > support:
-            best, support = (angle, shift), float(score)
-    c, s = np.cos(best[0]), np.sin(best[0])
-    return PlanarFit(np.array([[c, -s], [s, c]]), best[1], 1.0, np.nan)

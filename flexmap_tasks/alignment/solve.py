@@ -17,8 +17,9 @@ from flexmap_tasks.alignment.correspondence import (
 from flexmap_tasks.alignment.drive import Drive
 from flexmap_tasks.alignment.gnss_line import GnssLine, driven_line
 from flexmap_tasks.alignment.observations import FLOOR, GNSS, START, Known, groups_of
+from flexmap_tasks.alignment.overlap import refuse_other_shape
 from flexmap_tasks.alignment.revisits import revisit_edges
-from flexmap_tasks.alignment.rigid_start import rigid_start
+from flexmap_tasks.alignment.rigid_start import Start, rigid_start
 from flexmap_tasks.alignment.stretches import standing_off
 from flexmap_tasks.config import PoseGraphParams
 from flexmap_tasks.errors import AlignmentError
@@ -56,8 +57,7 @@ class Solved(NamedTuple):
     """The adjusted drive, with all that led to it.
 
     fit : the rigid start; timed : whether stamps were used; line, reason : the GNSS line, and why fixes are not on it
-    found : the fixes in use; solution : of the last adjustment; along_m : (k,) arc length on the line per node,
-    or None when timed
+    found : the fixes in use; solution : of the last adjustment; start : how shapes began it, or None when timed
     """
 
     fit: PlanarFit
@@ -67,7 +67,12 @@ class Solved(NamedTuple):
     known: Known
     found: Correspondence
     solution: Solution[State]
-    along_m: Floats | None
+    start: Start | None
+
+    @property
+    def along_m(self) -> Floats | None:
+        """(k,) arc length on the line per node, or None when timed."""
+        return None if self.start is None else self.start.along_m
 
 
 class _Tie(NamedTuple):
@@ -122,11 +127,15 @@ def solve(
     line, reason = driven_line(gnss, withheld)
     _check(line)
     gnss_s = None if drive.stamp_s is None else gnss_seconds(gnss, line, first_ns)
-    fit, offset, along = _start(drive, line, gnss_s, params.clock_offset_max_s)
-    levers = (0.0,) if along is None else LEVER_STARTS_M
-    known = _known(drive, log_scale, control, along is None, params.clock_offset_max_s)
+    fit, offset, start = _start(drive, line, gnss_s, params.clock_offset_max_s)
+    levers = (0.0,) if start is None else LEVER_STARTS_M
+    known = _known(drive, log_scale, control, start is None, params.clock_offset_max_s)
+    if start is not None and withheld is None:
+        refuse_other_shape(start, drive.pose[drive.node, :2], line)
+    along = None if start is None else start.along_m
     tie = _Tie(drive, line, _sigmas(gnss, line), gnss_s, along, np.zeros(len(line.fix), bool))
-    found, solution = _begun(known, tie, [_state(drive, fit, log_scale, offset, f) for f in levers])
+    pose = _moved(drive, fit) if start is None else start.pose
+    found, solution = _begun(known, tie, [State(pose, np.array([f, 0.0, log_scale, offset])) for f in levers])
     found, solution = _adjusted(known, tie, solution.state, START, SCALE_ROUNDS)
     known = known._replace(revisit=revisit_edges(drive.pose[drive.node], params.revisit_radius_m))
     found, solution = _adjusted(known, tie, solution.state, solution.scale, SCALE_ROUNDS)
@@ -141,25 +150,24 @@ def solve(
         tie = tie._replace(off=off)
         reason[line.fix[tie.off]] = MULTIPATH
         found, solution = _adjusted(known, tie, solution.state, solution.scale, SCALE_ROUNDS)
-    return Solved(fit, known.timed, line, reason, known, found, solution, along)
+    return Solved(fit, known.timed, line, reason, known, found, solution, start)
 
 
 def _start(
     drive: Drive, line: GnssLine, gnss_s: Floats | None, offset_max_s: float
-) -> tuple[PlanarFit, float, Floats | None]:
-    """Rigid fit, clock offset, and the arc length per node when time does not tie the tracks."""
+) -> tuple[PlanarFit, float, Start | None]:
+    """Rigid fit, clock offset, and where shapes lay the nodes when time does not tie the tracks."""
     timed = None if gnss_s is None else timed_start(drive, line, gnss_s, offset_max_s)
     if timed is not None:
         return *timed, None
-    fit, along = rigid_start(drive.pose[drive.node, :2], line)
-    return fit, 0.0, along
+    start = rigid_start(drive.pose[drive.node], line)
+    return start.fit, 0.0, start
 
 
-def _state(drive: Drive, fit: PlanarFit, log_scale: float, offset: float, forward_m: float) -> State:
+def _moved(drive: Drive, fit: PlanarFit) -> Floats:
     nodes = drive.pose[drive.node]
     turn = float(np.arctan2(fit.rotation[1, 0], fit.rotation[0, 0]))
-    pose = np.column_stack([nodes[:, :2] @ fit.rotation.T + fit.translation, nodes[:, 2] + turn])
-    return State(pose, np.array([forward_m, 0.0, log_scale, offset]))
+    return np.column_stack([nodes[:, :2] @ fit.rotation.T + fit.translation, nodes[:, 2] + turn])
 
 
 def _known(

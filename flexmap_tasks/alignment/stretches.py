@@ -66,7 +66,8 @@ def standing_off(solution: Solution[State], group: int, fixes: Fix, minimum_m: f
     found = [_tested(solution, solution.groups[group], group, ties, c) for c in range(0, cells, CORE_CELLS)]
     tested = Offsets(*(np.concatenate(columns) for columns in zip(*found, strict=True)))
     significance = np.sqrt(tested.score / _usual(tested))
-    significance[tested.size_m < minimum_m] = 0.0
+    size = _seen_m(tested, ties, len(solution.groups[group].residual) // len(ties.row))
+    significance[size < minimum_m] = 0.0
     out: list[Offset] = []
     least = max(SIGNIFICANT, TOGETHER * float(significance.max(initial=0.0)))
     while len(significance) and significance.max() >= least:
@@ -74,9 +75,25 @@ def standing_off(solution: Solution[State], group: int, fixes: Fix, minimum_m: f
         low, high = tested.start[best], tested.start[best] + tested.cells[best]
         rows = np.zeros(len(fixes.node), bool)
         rows[ties.row[(ties.cell >= low) & (ties.cell < high)]] = True
-        out.append(Offset(rows, float(tested.size_m[best]), float(significance[best])))
+        out.append(Offset(rows, float(size[best]), float(significance[best])))
         apart = (tested.start >= high + MARGIN_CELLS) | (tested.start + tested.cells <= low - MARGIN_CELLS)
         significance = np.where(apart, significance, 0.0)
+    return out
+
+
+def _seen_m(tested: Offsets, ties: _Ties, components: int) -> Floats:
+    """(k,) how large the offsets are as fixes see them: those of one component only across the way."""
+    if components == 2:
+        size: Floats = np.hypot(*tested.offset_m.T)
+        return size
+    c, s = np.cos(ties.across), np.sin(ties.across)
+    cells = int(ties.cell[-1]) + 1
+    sums = [np.bincount(ties.cell, w, cells) for w in (c * c, c * s, s * s, np.ones(len(c)))]
+    running = np.concatenate([[[0.0] * 4], np.cumsum(np.column_stack(sums), axis=0)])
+    cc, cs, ss, count = (running[tested.start + tested.cells] - running[tested.start]).T
+    east, north = tested.offset_m.T
+    square = east**2 * cc + 2 * east * north * cs + north**2 * ss
+    out: Floats = np.sqrt(np.maximum(square, 0.0) / np.maximum(count, 1.0))
     return out
 
 

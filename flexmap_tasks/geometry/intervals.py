@@ -18,12 +18,12 @@ PRIOR_M = 10.0
 class Offsets(NamedTuple):
     """start, cells : (k,) first cell and count of cells of every interval
 
-    size_m : (k,) length of its offset; score : (k,) square of it over its variance
+    offset_m : (k, 2) east and north; score : (k,) square of it over its variance
     """
 
     start: Ints
     cells: Ints
-    size_m: Floats
+    offset_m: Floats
     score: Floats
 
 
@@ -40,14 +40,16 @@ def offsets_of_intervals(
         a.ravel() for a in np.meshgrid(np.arange(starts), np.arange(shortest, longest + 1), indexing="ij")
     )
     fits = start + length <= cells
-    size, score = _scan(information, right, starts, shortest, longest, 1.0 / PRIOR_M**2)
-    return Offsets(start[fits], length[fits], size.ravel()[fits], score.ravel()[fits])
+    east, north, score = _scan(information, right, starts, shortest, longest, 1.0 / PRIOR_M**2)
+    offset = np.column_stack([east.ravel()[fits], north.ravel()[fits]])
+    return Offsets(start[fits], length[fits], offset, score.ravel()[fits])
 
 
 @njit(cache=True, nogil=True)
 def _scan(information, right, starts, shortest, longest, prior):  # type: ignore[no-untyped-def]  # pragma: no cover
     cells = len(right) // 2
-    size = np.zeros((starts, longest - shortest + 1))
+    east = np.zeros((starts, longest - shortest + 1))
+    north = np.zeros((starts, longest - shortest + 1))
     score = np.zeros((starts, longest - shortest + 1))
     for start in range(starts):
         xx, xy, yy, bx, by = prior, 0.0, prior, 0.0, 0.0
@@ -68,6 +70,7 @@ def _scan(information, right, starts, shortest, longest, prior):  # type: ignore
                 area = xx * yy - xy * xy
                 if area > 0.0:
                     ox, oy = (yy * bx - xy * by) / area, (xx * by - xy * bx) / area
-                    size[start, length - shortest] = np.sqrt(ox * ox + oy * oy)
+                    east[start, length - shortest] = ox
+                    north[start, length - shortest] = oy
                     score[start, length - shortest] = ox * bx + oy * by
-    return size, score
+    return east, north, score

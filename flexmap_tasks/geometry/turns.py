@@ -20,3 +20,10 @@ def yaw_rad(quaternion: Floats) -> Floats:
     x, y, z, w = quaternion.T
     yaw: Floats = np.arctan2(2 * (w * z + x * y), 1 - 2 * (y**2 + z**2))
     return yaw
+
+
+def track_heading(xy_m: Floats) -> Floats:
+    """(n,) direction of travel by the neighbours of every pose."""
+    step = np.gradient(xy_m, axis=0)
+    heading: Floats = np.arctan2(step[:, 1], step[:, 0])
+    return heading

@@ -71,7 +71,7 @@ DEGENERATE: dict[str, tuple[Callable[[Driven], Driven], str]] = {
     "another drive": (lambda d: elsewhere(d, 5), "cannot be one drive: a tenth"),
     "another drive, no time": (lambda d: untimed(elsewhere(d, 5)), "do not fit by their shapes: only"),
     "another drive at another time": (
-        lambda d: an_hour_later(elsewhere(d, 11)), "do not fit by their shapes: only",
+        lambda d: an_hour_later(elsewhere(d, 11)), "share too little to be sure by their shapes",
     ),
     "left-handed": (lambda d: d._replace(slam=places(d.slam, d.slam.xyz_m * (1, -1, 1))), "cannot be one drive"),
     "camera axes": (lambda d: d._replace(slam=camera(d.slam)), "z must point up. Camera axes"),
@@ -113,12 +113,6 @@ def test_a_poor_drive_with_long_outages_is_kept(timed: bool) -> None:
     sigma = np.sqrt((graph.nodes.sigma_m[:, :2] ** 2).mean(axis=1))
     error = np.hypot(*(graph.nodes.xyz_m - drive.xyz[graph.nodes.row])[:, :2].T)
     assert (error < 6 * sigma + 0.1).all()
-
-
-def test_a_drive_laid_tens_of_metres_off_without_time_is_refused() -> None:
-    drive = driven(3000.0, seed=3, noise=dataclasses.replace(POOR, scale=1.05), gaps=LONG_OUTAGES)
-    with pytest.raises(AlignmentError, match="do not fit by their shapes"):
-        adjusted(untimed(drive))
 
 
 def test_the_steepest_road_is_no_camera() -> None:
