@@ -89,39 +89,63 @@ def offset_stretches(seen: Seen, trust: Floats) -> Ints:
     none = np.full(n, -1)
     if n < 4 * WINDOW:
         return none
-    step = _steps(seen.misfit_m)
+    step = _steps(seen)
     limit = np.maximum(_limits(seen, step), max(MIN_STEP_M, 1.6 * resolution_m(seen.altitude_m)))
     cuts = _peaks(np.abs(step), limit)
-    cuts, step = _lasting(seen.misfit_m, cuts[~_of_slam(seen, cuts)], limit)
+    cuts, step = _lasting(seen, cuts[~_of_slam(seen, cuts)], limit, step)
     if len(cuts) == 0:
         return none
     part = np.searchsorted(cuts, np.arange(n), side="right")
     level = np.concatenate([[0.0], np.cumsum(step)])
     weight = np.bincount(part, trust * _ways(seen.along_m))
-    near = np.maximum(limit[cuts].mean(), MIN_STEP_M)
-    support = [(weight * (np.abs(level - at) < near)).sum() for at in level]
-    off = np.abs(level - level[int(np.argmax(support))]) >= near
+    # what steps between two stretches may be wrong by adds up, above all over gaps
+    unsure = np.concatenate([[0.0], np.cumsum(limit[cuts] ** 2)])
+    support = [float(weight[_near(level, unsure, k)].sum()) for k in range(len(level))]
+    off = ~_near(level, unsure, int(np.argmax(support)))
     return np.where(off, np.cumsum(off) - 1, -1)[part]
 
 
-def _steps(misfit_m: Floats) -> Floats:
-    """(m,) median of the fixes from each on, less that of those before it; 0 near the ends."""
-    median = np.median(sliding_window_view(misfit_m, WINDOW), axis=1)
-    step = np.zeros(len(misfit_m))
-    step[WINDOW : len(misfit_m) - WINDOW + 1] = median[WINDOW:] - median[:-WINDOW]
+def _near(level: Floats, unsure: Floats, k: int) -> Bools:
+    """Levels that may be the k-th."""
+    out: Bools = np.abs(level - level[k]) < np.sqrt(np.maximum(np.abs(unsure - unsure[k]), MIN_STEP_M**2))
+    return out
+
+
+def _steps(seen: Seen) -> Floats:
+    """(m,) median of the fixes from each on, less that of those before it; 0 near the ends.
+
+    Over a gap, less what the difference drifts by on either side of it.
+    """
+    centre, median = _medians(seen)
+    step, inside = np.zeros(len(seen.along_m)), slice(WINDOW, len(seen.along_m) - WINDOW + 1)
+    step[inside] = median[WINDOW:] - median[:-WINDOW]
+    before, after = centre[:-WINDOW], centre[WINDOW:]
+    way = after - before
+    drift = median[:-WINDOW] - np.interp(before - way, centre, median)
+    drift += np.interp(after + way, centre, median) - median[WINDOW:]
+    step[inside] -= np.where(way > MAX_WINDOWS_M, drift / 2, 0.0)
     return step
 
 
+def _medians(seen: Seen) -> tuple[Floats, Floats]:
+    """Middle and median difference of every window."""
+    return (
+        sliding_window_view(seen.along_m, WINDOW).mean(axis=1),
+        np.median(sliding_window_view(seen.misfit_m, WINDOW), axis=1),
+    )
+
+
 def _limits(seen: Seen, step: Floats) -> Floats:
-    """(m,) what a step must exceed: usual differences of medians that lie as far apart, a gap between them or not."""
-    centre = sliding_window_view(seen.along_m, WINDOW).mean(axis=1)
-    median = np.median(sliding_window_view(seen.misfit_m, WINDOW), axis=1)
+    """(m,) what a step must exceed: what is usual for steps over a way as long, a gap in it or not."""
+    centre, median = _medians(seen)
     apart = np.full(len(step), 1.0)
     apart[WINDOW : len(step) - WINDOW + 1] = np.maximum(centre[WINDOW:] - centre[:-WINDOW], 1e-3)
     lag, usual = WINDOW, list[tuple[float, float]]()
-    while lag < len(median) and len(usual) < LAGS:
-        way, change = centre[lag:] - centre[:-lag], np.abs(median[lag:] - median[:-lag])
-        usual.append((float(np.median(way)), float(np.median(change))))
+    while 3 * lag < len(median) and len(usual) < LAGS:
+        way, change = float(np.median(centre[lag:] - centre[:-lag])), median[lag:] - median[:-lag]
+        if way > MAX_WINDOWS_M:
+            change = change[lag:-lag] - (change[: -2 * lag] + change[2 * lag :]) / 2
+        usual.append((way, float(np.median(np.abs(change)))))
         lag *= 2
     at, size = np.array(usual).T
     limits: Floats = STEP_SIGMAS * 1.4826 * np.interp(apart, at, np.maximum.accumulate(size))
@@ -140,19 +164,21 @@ def _peaks(size: Floats, limit: Floats) -> Ints:
     return np.sort(np.array(cuts, dtype=np.int64))
 
 
-def _lasting(misfit_m: Floats, cuts: Ints, limit: Floats) -> tuple[Ints, Floats]:
+def _lasting(seen: Seen, cuts: Ints, limit: Floats, over_gaps: Floats) -> tuple[Ints, Floats]:
     """The cuts at which altitudes step for longer than a window, and by how much: scatter does not last."""
-    step = np.zeros(len(cuts))
+    misfit_m, step = seen.misfit_m, np.zeros(len(cuts))
+    gap = seen.along_m[cuts] - seen.along_m[cuts - 1] > MAX_WINDOWS_M
     for _ in range(LASTING_ROUNDS):
         ends = np.concatenate([[0], cuts, [len(misfit_m)]])
         for k, cut in enumerate(cuts.tolist()):
             before = misfit_m[max(ends[k], cut - LASTING * WINDOW) : cut]
             after = misfit_m[cut : min(ends[k + 2], cut + LASTING * WINDOW)]
             step[k] = np.median(after) - np.median(before)
+        step = np.where(gap, over_gaps[cuts], step)
         lasts = np.abs(step) > limit[cuts]
         if lasts.all():
             break
-        cuts, step = cuts[lasts], step[lasts]
+        cuts, step, gap = cuts[lasts], step[lasts], gap[lasts]
     return cuts, step
 
 

@@ -24,6 +24,7 @@ from flexmap_tasks.ingest.slam import ingest_slam
 from flexmap_tasks.model.pose_graph import PoseGraph
 from flexmap_tasks.model.source import Source
 from tests.bench.measure import DATA, best_cpu_s, show
+from tests.climbs import Up, climbed
 from tests.drives import HERE, Bias, Driven, driven, untimed
 
 
@@ -31,6 +32,7 @@ def run() -> None:
     """Cost and growth, then accuracy."""
     _growth()
     _simulated()
+    _heights()
     _garching()
 
 
@@ -83,6 +85,30 @@ def _simulated() -> None:
             )
         )
     show("Simulated drives of 2.5 km: distance from the truth, RMSE in the plane where the name says", rows)
+
+
+def _heights() -> None:
+    rows = []
+    for name, up in (
+        ("altitudes of 3 cm, SLAM tilted by a degree", Up(tilt_rad=(0.02, -0.015))),
+        ("slow errors of 5 cm", Up(slow_m=0.05)),
+        ("half a metre of scatter", Up(white_m=0.5)),
+        ("every fifth anywhere", Up(outliers=0.2)),
+        ("30 m off over 40 % of the way", Up(steps=((900.0, 2100.0, 30.0),))),
+        ("8 m off between two gaps of 200 m", Up(steps=((800, 1200, 8.0),), gaps=((700, 900), (1100, 1300)))),
+        ("300 m without", Up(gaps=((1000.0, 1300.0),))),
+        ("whole metres", Up(resolution_m=1.0)),
+    ):
+        errors = []
+        for seed in range(3):
+            drive = climbed(driven(3000, seed), up, seed)
+            params = PoseGraphParams(antenna_up_m=up.lever_up_m)
+            nodes = pose_graph(drive.slam, drive.gnss, HERE, None, None, params).nodes
+            errors.append(_rmse(nodes.xyz_m[:, 2] - drive.xyz[nodes.row, 2]))
+        rows.append(
+            (name, f"{np.mean(errors):.3f} m, worst of {len(errors)} {max(errors):.3f}", "at most 0.10")
+        )
+    show("Simulated drives over hills, height RMSE", rows)
 
 
 def _garching() -> None:
