@@ -24,7 +24,7 @@ MIN_ALONG = 0.9
 WHOLE_SHARE = 0.05
 """Tracks whose ends lie no further apart than this share of the longer begin and end together, as no others do."""
 
-SURE, MIN_DISTINCT_M = 1.75, 100.0
+SURE, MIN_DISTINCT_M = 1.75, 200.0
 """Else the way that agrees by its shape must be so many times the longest that agrees by chance, and this at least.
 
 Of 160 pairs of drives through towns of one grid and on winding roads one pair shared a way 1.6 times that of chance.

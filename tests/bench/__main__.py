@@ -13,6 +13,7 @@ from tests.bench.measure import DATA, console
 
 SUBJECTS = (
     "alignment",
+    "untimed",
     "garching",
     "conflation",
     "nothing_changed",
