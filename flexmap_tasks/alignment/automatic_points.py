@@ -19,7 +19,7 @@ from flexmap_tasks.engine.stage import stage
 from flexmap_tasks.errors import AlignmentError
 from flexmap_tasks.geometry.polyline import arc_length_m
 from flexmap_tasks.geometry.rigid import PlanarFit
-from flexmap_tasks.geometry.se2 import wrapped
+from flexmap_tasks.geometry.se2 import rotated, wrapped
 from flexmap_tasks.geometry.turns import track_heading
 from flexmap_tasks.model.alignment import ControlPoints, RigidMotion, Warp
 from flexmap_tasks.model.arrays import Floats, Ints, strings
@@ -181,7 +181,7 @@ def _by_time(
         return None
     offset = start[1] if params.clock_offset_max_s == 0 else _offset(drive, line, seconds, *start)
     kept = np.flatnonzero(covered(drive, seconds + offset))
-    pose = drive.at(seconds[kept] + offset)[0]
+    pose = drive.at(seconds[kept] + offset)
     row = np.searchsorted((drive.stamp_s[1:] + drive.stamp_s[:-1]) / 2, seconds[kept] + offset)
     return row.astype(np.int64), pose[:, :2], line.along_m[kept]
 
@@ -196,7 +196,11 @@ def _offset(drive: Drive, line: GnssLine, seconds: Floats, fit: PlanarFit, offse
         kept, ahead = kept[whole], ahead[whole]
         if not len(kept):
             break
-        (behind, slow), (before, fast) = (drive.at(seconds[k] + offset) for k in (kept, ahead))
+        behind, before = (drive.at(seconds[k] + offset) for k in (kept, ahead))
+        slow, fast = (
+            rotated(drive.velocity_at(seconds[k] + offset), pose[:, 2])
+            for k, pose in ((kept, behind), (ahead, before))
+        )
         gap = line.xy_m[ahead] - line.xy_m[kept] - (before - behind)[:, :2] @ fit.rotation.T
         change = (fast - slow) @ fit.rotation.T
         weight = (1.0 / (1.0 + (gap**2).sum(axis=1)))[:, None]

@@ -8,7 +8,8 @@ import numpy as np
 
 from flexmap_tasks.alignment.drive import Drive
 from flexmap_tasks.alignment.gnss_line import GnssLine
-from flexmap_tasks.geometry.graph2d import Fix, State
+from flexmap_tasks.geometry.graph2d import Fix, Seen, State, at_nodes
+from flexmap_tasks.geometry.polyline import arc_length_m
 from flexmap_tasks.geometry.rigid import PlanarFit, fit_planar_motion
 from flexmap_tasks.geometry.se2 import rotated, wrapped
 from flexmap_tasks.geometry.turns import track_heading
@@ -57,10 +58,11 @@ def by_shape(state: State, line: GnssLine, along_m: Floats, sigma_m: Floats) -> 
     seen = line.seen_at(s) & line.seen_at(s - EDGE_M) & line.seen_at(s + EDGE_M)
     node = np.flatnonzero(seen & ends & (np.abs(along_gap) < 1.0))
     row = np.clip(np.searchsorted(line.along_m, s[node]), 0, len(line.fix) - 1)
-    zero = np.zeros((len(node), 2))
-    # the antenna's own way is smoother than the line: a noisy direction would pass for knowledge of the place along
+    body, part = np.zeros((len(node), 2)), np.full(len(node), -1)
+    # The direction is SLAM's, which is smooth: that of the line turns with the noise of single fixes, and every turn
+    # of it would hold the drive where the association happened to put it along the road.
     across = track_heading(antenna)[node] + np.pi / 2
-    fix = Fix(node, zero, zero[:, 0], zero, line.at(s[node]), across)
+    fix = at_nodes(node, body, part, line.at(s[node]), across)
     return Correspondence(fix, row, sigma_m[row])
 
 
@@ -75,28 +77,39 @@ def slide(line: GnssLine, xy_m: Floats, along_m: Floats) -> Floats:
 
 
 def by_time(state: State, drive: Drive, line: GnssLine, gnss_s: Floats, sigma_m: Floats) -> Correspondence:
-    """With time: every fix tied to the node before it, the body's way since then taken from SLAM.
+    """With time: every fix tied to the nodes around it, the body's way since and until then taken from SLAM.
 
     gnss_s : (k,) time of every fix of the line in seconds of the drive, clocks taken as one
     """
     offset = float(state.shared[3])
     at = gnss_s + offset
     row = np.flatnonzero(covered(drive, at))
-    pose, velocity = drive.at(at[row])
-    node_s = _stamps(drive)[drive.node]
-    node = np.clip(np.searchsorted(node_s, at[row], side="right") - 1, 0, len(node_s) - 1)
-    base = drive.pose[drive.node][node]
-    body = rotated(pose[:, :2] - base[:, :2], -base[:, 2])
-    velocity = rotated(velocity, -base[:, 2])
+    at = at[row]
+    pose, velocity = drive.at(at), drive.velocity_at(at)
+    stamp, last = _stamps(drive), len(drive.node) - 1
+    node = np.clip(np.searchsorted(stamp[drive.node], at, side="right") - 1, 0, last)
+    after = np.minimum(node + 1, last)
+    along = arc_length_m(drive.pose[:, :2])
+    start, stop = along[drive.node[node]], along[drive.node[after]]
+    share = np.clip((np.interp(at, stamp, along) - start) / np.maximum(stop - start, 1e-9), 0.0, 1.0)
     fix = Fix(
-        node,
-        body - offset * velocity,
-        wrapped(pose[:, 2] - base[:, 2]),
-        velocity,
+        _seen(drive, node, pose, velocity, offset),
+        _seen(drive, after, pose, velocity, offset),
+        share,
+        drive.part[node],
         line.xy_m[row],
         np.zeros(len(row)),
     )
     return Correspondence(fix, row, sigma_m[row])
+
+
+def _seen(drive: Drive, node: Ints, pose: Floats, velocity: Floats, offset_s: float) -> Seen:
+    """Poses and velocities from nodes; places without the offset, which is an unknown."""
+    base = drive.pose[drive.node[node]]
+    body = rotated(pose[:, :2] - base[:, :2], -base[:, 2])
+    turn = wrapped(pose[:, 2] - base[:, 2])
+    seen_velocity = rotated(velocity, turn)
+    return Seen(node, body - offset_s * seen_velocity, turn, seen_velocity)
 
 
 def covered(drive: Drive, at_s: Floats) -> Bools:
@@ -132,7 +145,7 @@ def timed_start(
         row = row[:: max(len(row) // TRIED_FIXES, 1)]
         if len(row) < 3:
             continue
-        source, target = drive.at(gnss_s[row] + offset)[0][:, :2], line.xy_m[row]
+        source, target = drive.at(gnss_s[row] + offset)[:, :2], line.xy_m[row]
         fit, misfit = _robust(source, target)
         if best is None or misfit < 0.999 * best[0]:
             best = (misfit, fit, offset)

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from flexmap_tasks.geometry.breaks import SHORT_RUN_M
-from flexmap_tasks.geometry.polyline import arc_length_m, steps_m
+from flexmap_tasks.geometry.polyline import arc_length_m, smooth_through, steps_m
 from flexmap_tasks.geometry.se2 import wrapped
 from flexmap_tasks.model.arrays import Bools, Floats, Ints, Strings, strings
 from flexmap_tasks.model.tracks import STATUS_NONE, GnssTrack
@@ -35,8 +35,8 @@ class GnssLine(NamedTuple):
     seen: Bools
 
     def at(self, along_m: Floats) -> Floats:
-        """(n, 2) places at arc lengths."""
-        return np.column_stack([np.interp(along_m, self.along_m, column) for column in self.xy_m.T])
+        """(n, 2) places at arc lengths, smooth through the fixes."""
+        return smooth_through(along_m, self.along_m, self.xy_m)
 
     def heading_at(self, along_m: Floats, reach_m: float = 3.0) -> Floats:
         """(n,) direction of travel at arc lengths, over a step of twice `reach_m`."""

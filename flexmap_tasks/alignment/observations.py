@@ -8,26 +8,36 @@ import numpy as np
 from scipy import sparse
 
 from flexmap_tasks.alignment.correspondence import Correspondence
+from flexmap_tasks.alignment.drive import PART_M
 from flexmap_tasks.geometry.adjustment import Group
 from flexmap_tasks.geometry.graph2d import GLOBALS, Fix, Relative, State, fix_rows, relative_rows
 from flexmap_tasks.model.arrays import Floats
 
-ALONG, YAW, GNSS, ACROSS, REVISIT, REVISIT_YAW = range(6)
+ALONG, YAW, GNSS, ACROSS, REVISIT, REVISIT_YAW, SCALE_DRIFT, YAW_DRIFT = range(8)
 """Places of the groups whose noise is estimated."""
 
-START = np.array([0.1, 0.001, 1.0, 0.02, 1.0, 0.02])
+START = np.array([0.01, 0.001, 1.0, 0.01, 1.0, 0.02, 0.005, 1e-4])
 """Where the estimates begin: metres and radians per 3 m of SLAM, a factor on the stated sigmas of GNSS, and metres
 and radians by which SLAM disagrees with itself where it passes twice."""
 
-FLOOR = np.array([1e-3, 2e-5, 0.2, 1e-3, 0.01, 5e-4])
+BEGIN = START * [10.0, 1.0, 1.0, 10.0, 1.0, 1.0, 4.0, 1.0]
+"""Noise that SLAM is given while the start is metres off: else corners that do not fit yet are taken for outliers."""
+
+EXPECTED = np.array([0.01, 0.001, 1.0, 0.01, 0.05, 0.005, 5e-4, 2e-5])
+"""What is expected of each where a drive says little of it."""
+
+FLOOR = np.array([5e-3, 2e-5, 0.2, 5e-3, 0.05, 3e-3, 1e-5, 1e-7])
 """Noise below this is not believed of any sensor."""
 
 STEP_M = 3.0
 """SLAM noise is stated over this way and grows with its root."""
 
-UNTIMED_ALONG_M = 20.0
+UNTIMED_ALONG_M = 100.0
 """Without time fixes say nothing along the track: all of them together as much as one of this deviation, which only
 keeps the equations regular."""
+
+ALIKE_M = 200.0
+"""SLAM's scale and yaw rate err alike over about this way."""
 
 LEVER_M, SCALE = 3.0, 0.01
 """What is known beforehand of lever arm (a car's size) and SLAM scale, one standard deviation."""
@@ -66,11 +76,12 @@ def groups_of(known: Known, found: Correspondence, state: State) -> list[Group]:
     else:
         gnss = Group(fixes.residual[0::2], fixes.jacobian[0::2], found.sigma_m, np.arange(count), GNSS)
     out = [
-        along._replace(scale_of=ALONG),
+        along._replace(scale_of=ALONG if known.timed else ACROSS),
         yaw._replace(scale_of=YAW),
         gnss,
         across._replace(scale_of=ACROSS),
         *_revisits(known, state),
+        *_drifts(state),
         _shared(known, state),
     ]
     if not known.timed:
@@ -83,12 +94,28 @@ def groups_of(known: Known, found: Correspondence, state: State) -> list[Group]:
 
 
 def _shared(known: Known, state: State) -> Group:
-    height = state.pose.size + GLOBALS
-    columns = state.pose.size + np.arange(GLOBALS)
-    jacobian = sparse.csr_matrix((np.ones(GLOBALS), (np.arange(GLOBALS), columns)), shape=(GLOBALS, height))
+    columns = state.unknowns - GLOBALS + np.arange(GLOBALS)
+    jacobian = sparse.csr_matrix(
+        (np.ones(GLOBALS), (np.arange(GLOBALS), columns)), shape=(GLOBALS, state.unknowns)
+    )
     expected = np.array([0.0, 0.0, known.log_scale, 0.0])
     sigma = np.array([LEVER_M, LEVER_M, SCALE, max(known.clock_sigma_s, 1e-9)])
     return Group(state.shared - expected, jacobian, sigma, None, -1)
+
+
+def _drifts(state: State) -> list[Group]:
+    """A Gauss-Markov process of first order, stationary: drift is alike over `ALIKE_M`, its deviation estimated."""
+    parts = len(state.drift)
+    keep = np.exp(-PART_M / ALIKE_M)
+    walk = (sparse.eye(parts) - keep * sparse.eye(parts, k=-1)).tocoo()
+    unit = np.full(parts, np.sqrt(1.0 - keep**2))
+    unit[0] = 1.0
+    out = []
+    for which, group in ((0, SCALE_DRIFT), (1, YAW_DRIFT)):
+        columns = state.pose.size + 2 * walk.col + which
+        jacobian = sparse.csr_matrix((walk.data, (walk.row, columns)), shape=(parts, state.unknowns))
+        out.append(Group(walk @ state.drift[:, which], jacobian, unit, np.arange(parts), group))
+    return out
 
 
 def _revisits(known: Known, state: State) -> list[Group]:

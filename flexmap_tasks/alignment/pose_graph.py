@@ -13,7 +13,7 @@ from flexmap_tasks.alignment.solve import Solved, solve
 from flexmap_tasks.config import PoseGraphParams
 from flexmap_tasks.engine.stage import stage
 from flexmap_tasks.errors import AlignmentError
-from flexmap_tasks.geometry.graph2d import Fix, State, relative_rows
+from flexmap_tasks.geometry.graph2d import Fix, State, at_nodes, relative_rows
 from flexmap_tasks.geometry.normal_equations import inverse_on_pattern
 from flexmap_tasks.geometry.polyline import steps_m
 from flexmap_tasks.geometry.se2 import rotated, wrapped
@@ -140,7 +140,8 @@ def checked_drive(slam: Trajectory, params: PoseGraphParams) -> Drive:
 def no_control() -> tuple[Fix, Floats]:
     """No control points."""
     none = np.empty((0, 2))
-    return Fix(np.empty(0, np.int64), none, none[:, 0], none, none, none[:, 0]), np.empty(0)
+    row = np.empty(0, np.int64)
+    return at_nodes(row, none, row, none, none[:, 0]), np.empty(0)
 
 
 def control_of(points: ControlPoints | None, motion: RigidMotion | None, drive: Drive) -> tuple[Fix, Floats]:
@@ -152,8 +153,7 @@ def control_of(points: ControlPoints | None, motion: RigidMotion | None, drive: 
     source = motion.inverse().apply_xy(points.source_xy_m[rows])
     nearest = ((source[:, None] - nodes[:, :2]) ** 2).sum(axis=2).argmin(axis=1)
     body = rotated(source - nodes[nearest, :2], -nodes[nearest, 2])
-    zero = np.zeros(len(rows))
-    fix = Fix(nearest, body, zero, np.zeros_like(body), points.target_xy_m[rows], zero)
+    fix = at_nodes(nearest, body, drive.part[nearest], points.target_xy_m[rows], np.zeros(len(rows)))
     return fix, points.sigma_m[rows]
 
 

@@ -60,4 +60,4 @@ def _separate(at_m: Floats, apart_m: float) -> Ints:
 
 def _pairs(pose: Floats, pairs: Ints) -> Relative:
     first, second = pairs[:, 0].astype(np.int64), pairs[:, 1].astype(np.int64)
-    return Relative(first, second, between(pose[first], pose[second]))
+    return Relative(first, second, between(pose[first], pose[second]), np.full(len(first), -1))

@@ -16,7 +16,7 @@ from flexmap_tasks.alignment.correspondence import (
 )
 from flexmap_tasks.alignment.drive import Drive
 from flexmap_tasks.alignment.gnss_line import GnssLine, driven_line
-from flexmap_tasks.alignment.observations import FLOOR, GNSS, START, Known, groups_of
+from flexmap_tasks.alignment.observations import BEGIN, EXPECTED, FLOOR, GNSS, START, Known, groups_of
 from flexmap_tasks.alignment.overlap import refuse_other_shape
 from flexmap_tasks.alignment.revisits import revisit_edges
 from flexmap_tasks.alignment.rigid_start import Start, rigid_start
@@ -35,8 +35,11 @@ UNKNOWN_SIGMA_M = 0.03
 
 MULTIPATH = "multipath: a stretch that stands off as a whole"
 
-LOOSE = (30.0, 5.0, 1.0, 1.0, 1.0, 1.0)
+LOOSE = (30.0, 5.0, 1.0, 1.0)
 """How many times its stated sigma GNSS is given in the first steps, while the start is metres off."""
+
+FIRM = 2
+"""Steps after them with the noise that is expected: they tell which start fits best."""
 
 LEVER_STARTS_M = (1.5, -1.5)
 """Without time a corner looks nearly alike from an antenna ahead and one behind: both are tried."""
@@ -95,16 +98,8 @@ class _Tie(NamedTuple):
         else:
             gnss_s = np.empty(0) if self.gnss_s is None else self.gnss_s
             found = by_time(state, self.drive, self.line, gnss_s, self.sigma_m)
-        keep, fix = ~self.off[found.line_row], found.fix
-        kept = Fix(
-            fix.node[keep],
-            fix.body[keep],
-            fix.turn[keep],
-            fix.velocity[keep],
-            fix.target[keep],
-            fix.across[keep],
-        )
-        return Correspondence(kept, found.line_row[keep], found.sigma_m[keep])
+        keep = ~self.off[found.line_row]
+        return Correspondence(found.fix.take(keep), found.line_row[keep], found.sigma_m[keep])
 
 
 def solve(
@@ -135,7 +130,9 @@ def solve(
     along = None if start is None else start.along_m
     tie = _Tie(drive, line, _sigmas(gnss, line), gnss_s, along, np.zeros(len(line.fix), bool))
     pose = _moved(drive, fit) if start is None else start.pose
-    found, solution = _begun(known, tie, [State(pose, np.array([f, 0.0, log_scale, offset])) for f in levers])
+    drift = np.zeros((int(drive.part[-1]) + 1, 2))
+    starts = [State(pose, drift, np.array([forward, 0.0, log_scale, offset])) for forward in levers]
+    found, solution = _begun(known, tie, starts)
     found, solution = _adjusted(known, tie, solution.state, START, SCALE_ROUNDS)
     known = known._replace(revisit=revisit_edges(drive.pose[drive.node], params.revisit_radius_m))
     found, solution = _adjusted(known, tie, solution.state, solution.scale, SCALE_ROUNDS)
@@ -176,7 +173,7 @@ def _known(
     nodes = drive.pose[drive.node]
     row = np.arange(len(nodes) - 1)
     return Known(
-        odometry=Relative(row, row + 1, between(nodes[:-1], nodes[1:])),
+        odometry=Relative(row, row + 1, between(nodes[:-1], nodes[1:]), drive.part[:-1]),
         revisit=revisit_edges(nodes, 0.0),
         control=control[0],
         control_sigma_m=control[1],
@@ -187,13 +184,12 @@ def _known(
 
 
 def _begun(known: Known, tie: _Tie, starts: list[State]) -> tuple[Correspondence, Solution[State]]:
-    """From every start by steps that believe GNSS more and more, noise as expected; the one that fits best."""
+    """From every start by steps that believe GNSS, then SLAM, more and more; the one that fits best."""
     best: tuple[Correspondence, Solution[State]] | None = None
     for start in starts:
         state = start
-        for loose in LOOSE:
-            scale = START.copy()
-            scale[GNSS] *= loose
+        loose = [BEGIN * np.where(np.arange(len(BEGIN)) == GNSS, factor, 1.0) for factor in LOOSE]
+        for scale in [*loose, *[START] * FIRM]:
             found, solution = _adjusted(known, tie, state, scale, 0)
             state = solution.state
         if best is None or solution.misfit < best[1].misfit:
@@ -218,7 +214,9 @@ def _adjusted(
                 f"only {len(found.sigma_m)} fixes belong to the SLAM trajectory; check both inputs",
             )
         try:
-            solution = adjust(state, partial(groups_of, known, found), scale, FLOOR, min(rounds, 1), GLOBALS)
+            solution = adjust(
+                state, partial(groups_of, known, found), scale, FLOOR, min(rounds, 1), GLOBALS, EXPECTED
+            )
         except RuntimeError:
             raise AlignmentError(
                 "tracks", "SLAM and GNSS do not determine an alignment; a longer drive with turns is needed"

@@ -116,7 +116,7 @@ def _tested(solution: Solution[State], observed: Group, group: int, ties: _Ties,
     """Offset and score of all stretches that begin in the core at cell `first`."""
     last = min(first + CORE_CELLS + LONGEST_CELLS, int(ties.cell[-1]) + 1)
     inside = (ties.cell >= first) & (ties.cell < last)
-    unknowns = _free(ties, first - MARGIN_CELLS, last + MARGIN_CELLS, len(solution.state.pose))
+    unknowns = _free(ties, first - MARGIN_CELLS, last + MARGIN_CELLS, solution)
     offsets, rows = _offsets(ties, inside, first, last, len(observed.residual) // len(ties.row))
     p = solution.weight[group][rows] / (observed.unit[rows] * solution.scale[group]) ** 2
     jacobian = observed.jacobian[rows]
@@ -130,12 +130,15 @@ def _tested(solution: Solution[State], observed: Group, group: int, ties: _Ties,
     return found._replace(start=found.start + first)
 
 
-def _free(ties: _Ties, low: int, high: int, nodes: int) -> Ints:
-    """Unknowns of the nodes between two cells, and of all before the first fix and after the last."""
+def _free(ties: _Ties, low: int, high: int, solution: Solution[State]) -> Ints:
+    """Unknowns of the nodes between two cells, of all before the first fix and after the last, and drift there."""
+    nodes, drifts = len(solution.state.pose), solution.state.drift.size
     before, behind = ties.node[ties.cell < low], ties.node[ties.cell >= high]
     start = before[-1] + 1 if len(before) else 0
     stop = behind[0] if len(behind) else nodes
-    return np.arange(3 * start, 3 * stop)
+    own = np.arange(3 * start, 3 * stop)
+    drift = np.unique(solution.normal[3 * nodes : 3 * nodes + drifts, 3 * start : 3 * stop].nonzero()[0])
+    return np.concatenate([own, 3 * nodes + drift])
 
 
 def _offsets(

@@ -14,7 +14,7 @@ import numpy as np
 
 from flexmap_tasks.alignment.correspondence import Correspondence
 from flexmap_tasks.alignment.drive import Drive
-from flexmap_tasks.alignment.observations import FLOOR, START, Known, groups_of
+from flexmap_tasks.alignment.observations import EXPECTED, FLOOR, START, Known, groups_of
 from flexmap_tasks.alignment.pose_graph import checked_drive, control_of, first_stamp, no_control
 from flexmap_tasks.alignment.solve import Solved, solve
 from flexmap_tasks.config import PoseGraphParams
@@ -92,7 +92,8 @@ def _apart(residual: Floats) -> Floats:
 def _adjusted(known: Known, found: Correspondence, state: State, scale: Floats) -> Solution[State]:
     """From where the graph stands, without looking for other places of the fixes."""
     try:
-        return adjust(state, partial(groups_of, known, found), scale[: len(START)], FLOOR, ROUNDS, GLOBALS)
+        observed = partial(groups_of, known, found)
+        return adjust(state, observed, scale[: len(START)], FLOOR, ROUNDS, GLOBALS, EXPECTED)
     except RuntimeError:
         raise AlignmentError("control points", "contradict each other and the drive") from None
 

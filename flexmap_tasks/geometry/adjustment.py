@@ -8,11 +8,13 @@ Cauchy's kernel.
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import cache
 from typing import Generic, NamedTuple, Protocol, Self, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
+from scipy.stats import chi2
 
 from flexmap_tasks.geometry.normal_equations import Factor, factor, inverse_on_pattern
 
@@ -21,6 +23,10 @@ Ints = NDArray[np.int64]
 
 KERNEL = 2.385
 """Kernel width at which Cauchy keeps 95 % efficiency on Gaussian noise (Holland and Welsch 1977)."""
+
+
+EXPECTED_WEIGHT = 4.0
+"""What is expected of a noise scale counts as so many observations of it."""
 
 
 class Unknowns(Protocol):
@@ -76,13 +82,20 @@ class Solution(NamedTuple, Generic[S]):
 
 
 def adjust(
-    state: S, groups: Callable[[S], list[Group]], scale: Floats, floor: Floats, rounds: int, shared: int
+    state: S,
+    groups: Callable[[S], list[Group]],
+    scale: Floats,
+    floor: Floats,
+    rounds: int,
+    shared: int,
+    expected: Floats | None = None,
 ) -> Solution[S]:
     """Gauss-Newton with the noise scales estimated `rounds` times on the way; a last step ends it.
 
     groups : the observations, linearised at a state; scale : (g,) where the noise scales start
     floor : (g,) the smallest value of every noise scale
     shared : how many unknowns at the end take part in very many observations
+    expected : (g,) noise scales that are believed as much as `EXPECTED_WEIGHT` observations would be
     Raises RuntimeError when the observations do not determine the unknowns.
     """
     for left in range(2 * rounds, -1, -1):
@@ -97,7 +110,7 @@ def adjust(
         state = state.moved(step)
         if left and left % 2 == 0:  # scales change slowly: every second step is enough
             inverse = _on_pattern_of(normal, inverse_on_pattern(lu))
-            scale = _estimated(observed, scale, weight, step, inverse, shared, floor)
+            scale = _estimated(observed, scale, weight, step, inverse, shared, floor, expected)
     return Solution(state, scale, weight, observed, step, normal, lu)
 
 
@@ -147,14 +160,42 @@ def _estimated(
     inverse: sparse.csr_matrix,
     shared: int,
     floor: Floats,
+    expected: Floats | None,
 ) -> Floats:
-    new = scale.copy()
-    for k, (group, w) in enumerate(zip(groups, weight, strict=True)):
-        if group.scale_of != k or len(group.residual) == 0:
+    """The variance of every group: its squares over its redundancy, with what is expected (conjugate prior) where a
+    drive says little of it.
+    """
+    squares, redundancy = np.zeros(len(groups)), np.zeros(len(groups))
+    if expected is not None:
+        squares[: len(expected)] = EXPECTED_WEIGHT * expected**2
+        redundancy[: len(expected)] = EXPECTED_WEIGHT
+    for group, w in zip(groups, weight, strict=True):
+        k = group.scale_of
+        if k < 0 or len(group.residual) == 0:
             continue
         p = w / group.unit**2
         after = group.residual + group.jacobian @ step
-        redundancy = w.sum() - float(p @ _variances(group.jacobian, inverse, shared)) / scale[k] ** 2
-        if redundancy > 1.0:
-            new[k] = max(np.sqrt(float(p @ after**2) / redundancy), floor[k])
+        squares[k] += float(p @ after**2)
+        explained = float(p @ _variances(group.jacobian, inverse, shared)) / scale[k] ** 2
+        redundancy[k] += _kept(group.robust) * (w.sum() - explained)
+    new = scale.copy()
+    told = redundancy > 1.0
+    new[told] = np.sqrt(squares[told] / redundancy[told])
+    new[: len(floor)] = np.maximum(new[: len(floor)], np.where(told[: len(floor)], floor, 0.0))
     return new
+
+
+def _kept(robust: Ints | None) -> float:
+    """Share of a normal variance that robust weights leave in the weighted mean of squares."""
+    if robust is None:
+        return 1.0
+    return _kept_of(round(len(robust) / max(len(np.unique(robust)), 1)))
+
+
+@cache
+def _kept_of(members: int) -> float:
+    def weight(square: float) -> float:
+        return 1.0 / (1.0 + square / members / _CAUCHY**2)
+
+    law = chi2(members)
+    return float(law.expect(lambda s: weight(s) * s / members) / law.expect(weight))

@@ -18,7 +18,8 @@ JUMP_FACTOR = 4.0
 """A jump is longer than this many times the steps around it."""
 
 SHORT_RUN_M = 15.0
-"""What lies between two interruptions and is shorter than this is scatter around them."""
+"""What lies between two interruptions and gets no further than this is scatter around them, however long the way
+that it jitters."""
 
 GAP_FACTOR, GAP_S = 5.0, 1.5
 """An outage lasts longer than this many usual intervals, and longer than this."""
@@ -45,13 +46,14 @@ def observed_steps(xy_m: Floats, stamp_s: Floats | None) -> Bools:
     speed = step / lapse
     local = percentile_filter(speed, 80, size=min(_WINDOW, n - 1), mode="nearest")
     broken = gap | (step > np.maximum(JUMP_M, JUMP_FACTOR * local * lapse))
-    return np.concatenate([[True], ~_with_short_runs(step, broken)])
+    return np.concatenate([[True], ~_with_short_runs(xy_m, broken)])
 
 
-def _with_short_runs(step: Floats, broken: Bools) -> Bools:
+def _with_short_runs(xy_m: Floats, broken: Bools) -> Bools:
     """Breaks, and the short runs between two of them."""
+    first = np.concatenate([[0], np.flatnonzero(broken) + 1])
+    extent = np.hypot(*(np.maximum.reduceat(xy_m, first) - np.minimum.reduceat(xy_m, first)).T)
     run = np.cumsum(broken)
-    length = np.bincount(run, np.where(broken, 0.0, step))
     between = (run > 0) & (run < run[-1])
-    out: Bools = broken | (between & (length[run] < SHORT_RUN_M))
+    out: Bools = broken | (between & (extent[run] < SHORT_RUN_M))
     return out

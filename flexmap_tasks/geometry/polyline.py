@@ -11,6 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
+from scipy.interpolate import CubicHermiteSpline
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -21,6 +22,21 @@ _RUN = 8
 
 _ROUNDING = 1.0 - 1e-12
 """A box counts as this much nearer than it is: rounding must not hide a segment that is as near as the best."""
+
+
+def smooth_through(at: Floats, known_at: Floats, known: Floats) -> Floats:
+    """(m, c) values at places, on cubics through the known ones (n, c) with the slopes of their neighbours.
+
+    Linear in what is known, so no direction of the axes is preferred; chords would cut every corner short.
+    known_at : (n,) ascending; of equal ones the first counts. Beyond the ends the end's value holds.
+    """
+    known_at, first = np.unique(known_at, return_index=True)
+    known, at = known[first], np.clip(at, known_at[0], known_at[-1])
+    if len(known_at) < 2:
+        return np.repeat(known, len(at), axis=0)
+    slope = np.gradient(known, known_at, axis=0)
+    out: Floats = CubicHermiteSpline(known_at, known, slope)(at)
+    return out
 
 
 def steps_m(points: Floats) -> Floats:

@@ -285,12 +285,9 @@ def test_garching_route(shared_data: Path) -> None:
     graph = pose_graph(slam, gnss, projection, None, None, PoseGraphParams())
     off = deviation(antenna_track(graph).xyz_m, gnss)
     assert off.distance_m.mean() <= 0.40
-    # a single pose in the outage whose bridged place happens to lie beside another street has no GNSS of its own
-    own = binary_opening(off.valid, np.ones(5))
-    assert own.sum() > 1100
-    assert rmse(off.distance_m[own]) <= 0.06
+    assert rmse(off.distance_m[off.valid]) <= 0.065
     assert graph.figures.lever_left_m == pytest.approx(0.49, abs=0.05)
-    assert graph.figures.lever_forward_m == pytest.approx(2.06, abs=0.5)
+    assert graph.figures.lever_forward_m == pytest.approx(2.06, abs=0.2)
     judged = heldout(slam, gnss, projection, GraphHeldOutParams(block_m=50.0))
     assert len(judged) > 1100
     assert rmse(judged.distance_m) <= 0.10
