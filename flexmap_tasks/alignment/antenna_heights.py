@@ -101,7 +101,7 @@ def _bodies(slam: Trajectory, drive: Drive, at_s: Floats | None, node: Ints) -> 
     if at_s is None or drive.stamp_s is None:
         row = drive.node[node]
         return Body(drive.pose[row], drive.z_m[row], up[row])
-    pose, _ = drive.at(at_s)
+    pose = drive.at(at_s)
     columns = [np.interp(at_s, drive.stamp_s, column) for column in (drive.z_m, *up.T)]
     return Body(pose, columns[0], np.column_stack(columns[1:]))
 

@@ -127,7 +127,7 @@ def lifted(xyz_m: Floats, revisit: Relative, scale: float, heights: Heights) -> 
     xyz_m : (n, 3) nodes in the SLAM frame; scale : metres per SLAM metre
     """
     first = graph_up.start(len(xyz_m), float(np.median(heights.misfit_m)))
-    none = Relative(revisit.first[:0], revisit.second[:0], revisit.motion[:0])
+    none = Relative(revisit.first[:0], revisit.second[:0], revisit.motion[:0], revisit.part[:0])
     tried = [_known(xyz_m, none, scale, heights, held_m) for held_m in HELD_M]
     found = [_solved(_begun(first, known, heights), known, heights) for known in tried]
     best = int(np.argmax([_likelihood(solution) for solution in found]))

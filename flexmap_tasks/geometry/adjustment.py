@@ -195,7 +195,7 @@ def _kept(robust: Ints | None) -> float:
 @cache
 def _kept_of(members: int) -> float:
     def weight(square: float) -> float:
-        return 1.0 / (1.0 + square / members / _CAUCHY**2)
+        return 1.0 / (1.0 + square / members / KERNEL**2)
 
     law = chi2(members)
     return float(law.expect(lambda s: weight(s) * s / members) / law.expect(weight))
