@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 from scipy import sparse
-from scipy.ndimage import binary_opening, gaussian_filter1d
+from scipy.ndimage import gaussian_filter1d
 
 from flexmap_tasks.alignment.align_track import align_track
 from flexmap_tasks.alignment.heldout import heldout
