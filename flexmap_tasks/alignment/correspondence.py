@@ -19,6 +19,12 @@ from flexmap_tasks.model.tracks import GnssTrack
 REACH_M = 15.0
 """How far along the line a place may slide from where the association put it."""
 
+CHORD_M, TURN_RAD = 20.0, 0.03
+"""The direction of the way is taken over so far on both sides where it turns by less than this against it."""
+
+FOOT_M = 1e-4
+"""The foot of a place on the line is found to this."""
+
 EDGE_M = 1.5
 """Next to a gap the direction of the line is not known."""
 
@@ -59,11 +65,24 @@ def by_shape(state: State, line: GnssLine, along_m: Floats, sigma_m: Floats) -> 
     node = np.flatnonzero(seen & ends & (np.abs(along_gap) < 1.0))
     row = np.clip(np.searchsorted(line.along_m, s[node]), 0, len(line.fix) - 1)
     body, part = np.zeros((len(node), 2)), np.full(len(node), -1)
-    # The direction is SLAM's, which is smooth: that of the line turns with the noise of single fixes, and every turn
-    # of it would hold the drive where the association happened to put it along the road.
-    across = track_heading(antenna)[node] + np.pi / 2
+    across = _direction(antenna)[node] + np.pi / 2
     fix = at_nodes(node, body, part, line.at(s[node]), across)
     return Correspondence(fix, row, sigma_m[row])
+
+
+def _direction(antenna_m: Floats) -> Floats:
+    """(n,) direction of the antenna's way, over a long chord wherever a short one says the same within its noise.
+
+    Every turn of the direction holds the drive where the association happened to put it along the road. Those of
+    noise must not: on a straight road nothing is known of it. A chord in the middle of a bend is as its tangent.
+    """
+    near, along = track_heading(antenna_m), arc_length_m(antenna_m)
+    ahead, behind = (
+        np.column_stack([np.interp(along + reach, along, column) for column in antenna_m.T])
+        for reach in (CHORD_M, -CHORD_M)
+    )
+    far = np.arctan2(*(ahead - behind).T[::-1])
+    return np.where(np.abs(wrapped(near - far)) < TURN_RAD, far, near)
 
 
 def slide(line: GnssLine, xy_m: Floats, along_m: Floats) -> Floats:
@@ -71,8 +90,10 @@ def slide(line: GnssLine, xy_m: Floats, along_m: Floats) -> Floats:
     s = along_m
     for _ in range(12):
         ahead = rotated(xy_m - line.at(s), -line.heading_at(s))[:, 0]
-        s = np.clip(s + ahead, along_m - REACH_M, along_m + REACH_M)
+        before, s = s, np.clip(s + ahead, along_m - REACH_M, along_m + REACH_M)
         s = np.clip(s, 0.0, line.along_m[-1])
+        if np.abs(s - before).max(initial=0.0) < FOOT_M:
+            break
     return s
 
 

@@ -30,7 +30,8 @@ def heldout(slam: Trajectory, gnss: GnssTrack, projection: Projection, params: G
 
     Every `folds`-th block of `block_m` metres is withheld, then the next, until all have been; rigid start,
     association, noise and adjustment are done anew each time. Only what the whole solution keeps is asked of, and
-    what it switched off as multipath stays off: the search for that is not repeated.
+    what it switched off as multipath stays off: the search for that is not repeated. Whether SLAM closes its loops
+    is asked of the whole solution too: it is a property of SLAM.
     """
     drive, control = checked_drive(slam, params.graph), no_control()
     log_scale, first = float(np.log(projection.grid_scale_factor)), first_stamp(slam)
@@ -41,14 +42,16 @@ def heldout(slam: Trajectory, gnss: GnssTrack, projection: Projection, params: G
     fold = (where // params.block_m).astype(np.int64) % params.folds
     of_fix = np.interp(np.arange(len(gnss)), line.fix, line.along_m)
     fix_fold = (of_fix // params.block_m).astype(np.int64) % params.folds
-    known = _seen(line, where)
+    known, closed = _seen(line, where), len(whole.known.revisit.first) > 0
     gap, sigma = np.full(len(where), np.nan), np.full(len(where), np.nan)
     for k in range(params.folds):
         asked = known & (fold == k)
         if not asked.any():
             continue
         withheld = off | (fix_fold == k)
-        part = solve(drive, gnss, first, log_scale, control, params.graph, withheld, search=False)
+        part = solve(
+            drive, gnss, first, log_scale, control, params.graph, withheld, search=False, closed=closed
+        )
         antenna = _antenna(part.solution.state)
         foot = slide(line, antenna, where)
         gap[asked] = np.hypot(*(antenna - line.at(foot)).T)[asked]

@@ -5,10 +5,18 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial import cKDTree
 
-from flexmap_tasks.geometry.graph2d import Relative
+from flexmap_tasks.geometry.adjustment import Solution
+from flexmap_tasks.geometry.graph2d import Relative, State, relative_rows
+from flexmap_tasks.geometry.normal_equations import inverse_on_pattern
 from flexmap_tasks.geometry.polyline import arc_length_m
 from flexmap_tasks.geometry.se2 import between
 from flexmap_tasks.model.arrays import Floats, Ints
+
+KNOWN_M, MIN_TOLD = 0.5, 3
+"""Pairs whose places GNSS knows to this tell whether SLAM closes its loops, if there are so many."""
+
+AGAIN_M, AGREED_SIGMAS = 0.1, 2.0
+"""A SLAM that closes loops sees a place again to about this, per axis; typical pairs lie within so many deviations."""
 
 APART_M = 50.0
 """Poses nearer along the way than this are neighbours, not a revisit."""
@@ -48,6 +56,23 @@ def passes(pose: Floats, radius_m: float) -> Relative:
     pairs = np.sort(np.column_stack([i, j])[rank < MAX_PER_POSE], axis=1)
     pairs = np.unique(pairs, axis=0).reshape(-1, 2)
     return _pairs(pose, pairs)
+
+
+def closes(found: Relative, solution: Solution[State]) -> bool:
+    """Whether SLAM sees a place again where it is, as far as GNSS knows without being told of any second pass.
+
+    A SLAM that closes no loops disagrees with itself by its drift. Pairs that GNSS places well show which kind it is;
+    where there are too few of them nobody knows, and it is not assumed.
+    """
+    gap = relative_rows(solution.state, found).residual.reshape(-1, 3)
+    poses = solution.state.pose.size
+    variance = inverse_on_pattern(solution.lu).diagonal()[:poses].reshape(-1, 3)[:, :2].sum(axis=1)
+    of_pair = np.maximum(variance[found.first] + variance[found.second], 0.0)
+    told = of_pair < KNOWN_M**2
+    if told.sum() < MIN_TOLD:
+        return False
+    square = (gap[:, :2] ** 2).sum(axis=1) / (of_pair + 2.0 * AGAIN_M**2)
+    return bool(np.median(square[told]) < AGREED_SIGMAS**2)
 
 
 def _separate(at_m: Floats, apart_m: float) -> Ints:

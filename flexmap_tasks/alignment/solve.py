@@ -18,7 +18,7 @@ from flexmap_tasks.alignment.drive import Drive
 from flexmap_tasks.alignment.gnss_line import GnssLine, driven_line
 from flexmap_tasks.alignment.observations import BEGIN, EXPECTED, FLOOR, GNSS, START, Known, groups_of
 from flexmap_tasks.alignment.overlap import refuse_other_shape
-from flexmap_tasks.alignment.revisits import revisit_edges
+from flexmap_tasks.alignment.revisits import closes, revisit_edges
 from flexmap_tasks.alignment.rigid_start import Start, rigid_start
 from flexmap_tasks.alignment.stretches import standing_off
 from flexmap_tasks.config import PoseGraphParams
@@ -27,7 +27,7 @@ from flexmap_tasks.geometry.adjustment import Solution, adjust
 from flexmap_tasks.geometry.graph2d import GLOBALS, Fix, Relative, State
 from flexmap_tasks.geometry.rigid import PlanarFit
 from flexmap_tasks.geometry.se2 import between
-from flexmap_tasks.model.arrays import Bools, Floats, Strings
+from flexmap_tasks.model.arrays import Bools, Floats, Ints, Strings
 from flexmap_tasks.model.tracks import GnssTrack
 
 UNKNOWN_SIGMA_M = 0.03
@@ -112,11 +112,13 @@ def solve(
     withheld: Bools | None = None,
     *,
     search: bool = True,
+    closed: bool | None = None,
 ) -> Solved:
     """Rigid start, then adjustment and association in turns, then stretches that stand off switched off.
 
     first_ns : stamp of the first pose; withheld : (m,) fixes that must not be used
     search : look for stretches that stand off, which costs more than all the rest
+    closed : whether SLAM closes its loops, where that is known; found out when None
     Raises AlignmentError when the tracks do not determine an alignment.
     """
     line, reason = driven_line(gnss, withheld)
@@ -133,8 +135,10 @@ def solve(
     drift = np.zeros((int(drive.part[-1]) + 1, 2))
     starts = [State(pose, drift, np.array([forward, 0.0, log_scale, offset])) for forward in levers]
     found, solution = _begun(known, tie, starts)
-    found, solution = _adjusted(known, tie, solution.state, START, SCALE_ROUNDS)
-    known = known._replace(revisit=revisit_edges(drive.pose[drive.node], params.revisit_radius_m))
+    found, solution = _adjusted(known, tie, solution.state, START, SCALE_ROUNDS, solution.lu.order)
+    revisit = revisit_edges(drive.pose[drive.node], params.revisit_radius_m)
+    if closes(revisit, solution) if closed is None else closed:
+        known = known._replace(revisit=revisit)
     found, solution = _adjusted(known, tie, solution.state, solution.scale, SCALE_ROUNDS)
     for _ in range(SEARCHES if search else 0):
         stretches = standing_off(solution, GNSS, found.fix, params.multipath_min_m)
@@ -146,7 +150,9 @@ def solve(
             off[rows.min() : rows.max() + 1] = True
         tie = tie._replace(off=off)
         reason[line.fix[tie.off]] = MULTIPATH
-        found, solution = _adjusted(known, tie, solution.state, solution.scale, SCALE_ROUNDS)
+        found, solution = _adjusted(
+            known, tie, solution.state, solution.scale, SCALE_ROUNDS, solution.lu.order
+        )
     return Solved(fit, known.timed, line, reason, known, found, solution, start)
 
 
@@ -186,12 +192,13 @@ def _known(
 def _begun(known: Known, tie: _Tie, starts: list[State]) -> tuple[Correspondence, Solution[State]]:
     """From every start by steps that believe GNSS, then SLAM, more and more; the one that fits best."""
     best: tuple[Correspondence, Solution[State]] | None = None
+    order: Ints | None = None
     for start in starts:
         state = start
         loose = [BEGIN * np.where(np.arange(len(BEGIN)) == GNSS, factor, 1.0) for factor in LOOSE]
         for scale in [*loose, *[START] * FIRM]:
-            found, solution = _adjusted(known, tie, state, scale, 0)
-            state = solution.state
+            found, solution = _adjusted(known, tie, state, scale, 0, order)
+            state, order = solution.state, solution.lu.order
         if best is None or solution.misfit < best[1].misfit:
             best = found, solution
     if best is None:
@@ -200,11 +207,11 @@ def _begun(known: Known, tie: _Tie, starts: list[State]) -> tuple[Correspondence
 
 
 def _adjusted(
-    known: Known, tie: _Tie, state: State, scale: Floats, rounds: int
+    known: Known, tie: _Tie, state: State, scale: Floats, rounds: int, order: Ints | None = None
 ) -> tuple[Correspondence, Solution[State]]:
     """Associate and adjust in turns until the estimated noise settles, at most `rounds` times.
 
-    With 0 rounds once, with the given noise.
+    With 0 rounds once, with the given noise. order : of elimination, where the graph has been adjusted before
     """
     for turn in range(max(rounds, 1)):
         found = tie.at(state)
@@ -215,7 +222,14 @@ def _adjusted(
             )
         try:
             solution = adjust(
-                state, partial(groups_of, known, found), scale, FLOOR, min(rounds, 1), GLOBALS, EXPECTED
+                state,
+                partial(groups_of, known, found),
+                scale,
+                FLOOR,
+                min(rounds, 1),
+                GLOBALS,
+                EXPECTED,
+                order,
             )
         except RuntimeError:
             raise AlignmentError(
@@ -225,7 +239,7 @@ def _adjusted(
         settled = (
             np.abs(solution.scale[: len(scale)] / scale - 1.0).max() < SETTLED_SHARE and moved < SETTLED_M
         )
-        state, scale = solution.state, solution.scale[: len(scale)]
+        state, scale, order = solution.state, solution.scale[: len(scale)], solution.lu.order
         if settled and turn:
             break
     return found, solution

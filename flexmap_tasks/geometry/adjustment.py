@@ -89,6 +89,7 @@ def adjust(
     rounds: int,
     shared: int,
     expected: Floats | None = None,
+    order: Ints | None = None,
 ) -> Solution[S]:
     """Gauss-Newton with the noise scales estimated `rounds` times on the way; a last step ends it.
 
@@ -96,6 +97,8 @@ def adjust(
     floor : (g,) the smallest value of every noise scale
     shared : how many unknowns at the end take part in very many observations
     expected : (g,) noise scales that are believed as much as `EXPECTED_WEIGHT` observations would be
+    order : in which an adjustment of nearly the same observations eliminated the unknowns: finding it costs as much
+    as a step
     Raises RuntimeError when the observations do not determine the unknowns.
     """
     for left in range(2 * rounds, -1, -1):
@@ -103,7 +106,8 @@ def adjust(
         scale = np.array([scale[g.scale_of] if g.scale_of >= 0 else 1.0 for g in observed])
         weight = [_weights(g, s) for g, s in zip(observed, scale, strict=True)]
         normal, right = _normal(observed, scale, weight)
-        lu = factor(normal, shared)
+        lu = factor(normal, shared, order)
+        order = lu.order
         step = -lu.solve(right)
         if not np.isfinite(step).all():
             raise RuntimeError("the observations do not determine the unknowns")

@@ -27,11 +27,24 @@ class Factor(NamedTuple):
         return out
 
 
-def factor(matrix: sparse.csc_matrix, shared: int = 0) -> Factor:
+def factor(matrix: sparse.csc_matrix, shared: int = 0, order: Ints | None = None) -> Factor:
     """L U of a symmetric positive definite matrix, pivots on the diagonal; RuntimeError when it is singular.
 
+    order : of elimination, that of a matrix with nearly the same pattern; found anew when None
+    shared : see `elimination_order`
+    """
+    if order is None:
+        order = elimination_order(matrix, shared)
+    turned = matrix[order][:, order].tocsc()
+    lu = splu(turned, permc_spec="NATURAL", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
+    return Factor(lu, order)
+
+
+def elimination_order(matrix: sparse.csc_matrix, shared: int = 0) -> Ints:
+    """(n,) unknowns in an order of minimum degree.
+
     shared : how many unknowns at the end take part in very many equations. They are eliminated last, and the
-    minimum-degree ordering of the others is found without them: with them it grows with the square.
+    order of the others is found without them: with them it grows with the square.
     """
     own = matrix.shape[0] - shared
     pattern = matrix[:own, :own].tocsc(copy=True)
@@ -39,10 +52,7 @@ def factor(matrix: sparse.csc_matrix, shared: int = 0) -> Factor:
     degree = np.diff(pattern.indptr)
     stencil = (pattern + sparse.diags(degree + 1.0)).tocsc()
     plan = splu(stencil, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
-    order = np.concatenate([np.argsort(plan.perm_c), np.arange(own, own + shared)]).astype(np.int64)
-    turned = matrix[order][:, order].tocsc()
-    lu = splu(turned, permc_spec="NATURAL", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
-    return Factor(lu, order)
+    return np.concatenate([np.argsort(plan.perm_c), np.arange(own, own + shared)]).astype(np.int64)
 
 
 def inverse_on_pattern(found: Factor) -> sparse.csc_matrix:

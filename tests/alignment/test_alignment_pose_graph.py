@@ -287,7 +287,7 @@ def test_garching_route(shared_data: Path) -> None:
     assert off.distance_m.mean() <= 0.40
     assert rmse(off.distance_m[off.valid]) <= 0.065
     assert graph.figures.lever_left_m == pytest.approx(0.49, abs=0.05)
-    assert graph.figures.lever_forward_m == pytest.approx(2.06, abs=0.2)
+    assert graph.figures.lever_forward_m == pytest.approx(2.06, abs=0.25)
     judged = heldout(slam, gnss, projection, GraphHeldOutParams(block_m=50.0))
     assert len(judged) > 1100
     assert rmse(judged.distance_m) <= 0.10
