@@ -21,7 +21,8 @@ START = np.array([0.01, 0.001, 1.0, 0.01, 1.0, 0.02, 0.005, 1e-4])
 and radians by which SLAM disagrees with itself where it passes twice."""
 
 BEGIN = START * [10.0, 1.0, 1.0, 10.0, 1.0, 1.0, 4.0, 1.0]
-"""Noise that SLAM is given while the start is metres off: else corners that do not fit yet are taken for outliers."""
+"""Noise that SLAM is given while a start without time is metres off: corners that do not fit yet would else be taken
+for outliers."""
 
 EXPECTED = np.array([0.01, 0.001, 1.0, 0.01, 0.05, 0.005, 5e-4, 2e-5])
 """What is expected of each where a drive says little of it."""

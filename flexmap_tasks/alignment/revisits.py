@@ -16,7 +16,7 @@ KNOWN_M, MIN_TOLD = 0.5, 3
 """Pairs whose places GNSS knows to this tell whether SLAM closes its loops, if there are so many."""
 
 AGAIN_M, AGREED_SIGMAS = 0.1, 2.0
-"""A SLAM that closes loops sees a place again to about this, per axis; typical pairs lie within so many deviations."""
+"""A SLAM that closes loops sees a place again to about this per axis; typical pairs lie within so many deviations."""
 
 APART_M = 50.0
 """Poses nearer along the way than this are neighbours, not a revisit."""

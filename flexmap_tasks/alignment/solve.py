@@ -44,7 +44,7 @@ FIRM = 2
 LEVER_STARTS_M = (1.5, -1.5)
 """Without time a corner looks nearly alike from an antenna ahead and one behind: both are tried."""
 
-SCALE_ROUNDS, SETTLED_SHARE, SETTLED_M = 6, 0.03, 0.002
+SCALE_ROUNDS, SETTLED_SHARE, SETTLED_M = 20, 0.06, 0.002
 """Noise is estimated so many times at most, until it changes by less than a share and no pose by more than this."""
 
 MIN_FIXES = 3
@@ -139,7 +139,7 @@ def solve(
     revisit = revisit_edges(drive.pose[drive.node], params.revisit_radius_m)
     if closes(revisit, solution) if closed is None else closed:
         known = known._replace(revisit=revisit)
-    found, solution = _adjusted(known, tie, solution.state, solution.scale, SCALE_ROUNDS)
+        found, solution = _adjusted(known, tie, solution.state, solution.scale, SCALE_ROUNDS)
     for _ in range(SEARCHES if search else 0):
         stretches = standing_off(solution, GNSS, found.fix, params.multipath_min_m)
         if not stretches:
@@ -195,7 +195,8 @@ def _begun(known: Known, tie: _Tie, starts: list[State]) -> tuple[Correspondence
     order: Ints | None = None
     for start in starts:
         state = start
-        loose = [BEGIN * np.where(np.arange(len(BEGIN)) == GNSS, factor, 1.0) for factor in LOOSE]
+        first = START if known.timed else BEGIN
+        loose = [first * np.where(np.arange(len(first)) == GNSS, factor, 1.0) for factor in LOOSE]
         for scale in [*loose, *[START] * FIRM]:
             found, solution = _adjusted(known, tie, state, scale, 0, order)
             state, order = solution.state, solution.lu.order
