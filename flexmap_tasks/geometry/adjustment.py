@@ -101,7 +101,7 @@ def adjust(
     as a step
     Raises RuntimeError when the observations do not determine the unknowns.
     """
-    for left in range(2 * rounds, -1, -1):
+    for left in range(rounds, -1, -1):
         observed = groups(state)
         scale = np.array([scale[g.scale_of] if g.scale_of >= 0 else 1.0 for g in observed])
         weight = [_weights(g, s) for g, s in zip(observed, scale, strict=True)]
@@ -112,7 +112,7 @@ def adjust(
         if not np.isfinite(step).all():
             raise RuntimeError("the observations do not determine the unknowns")
         state = state.moved(step)
-        if left and left % 2 == 0:  # scales change slowly: every second step is enough
+        if left:
             inverse = _on_pattern_of(normal, inverse_on_pattern(lu))
             scale = _estimated(observed, scale, weight, step, inverse, shared, floor, expected)
     return Solution(state, scale, weight, observed, step, normal, lu)
