@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from flexmap_tasks.alignment.altitudes import measured
 from flexmap_tasks.alignment.antenna_heights import told_heights
 from flexmap_tasks.alignment.pose_graph import checked_drive, first_stamp, no_control
 from flexmap_tasks.alignment.solve import solve
@@ -28,6 +29,9 @@ def heldout_heights(
     Blocks are those of `heldout`, along SLAM's way. The plane stays as all of GNSS has it, and stretches that
     stand off are not asked.
     """
+    if not (measured(gnss.xyz_m[:, 2]) == "").any():
+        none = np.empty(0)
+        return HeldOutHeights(np.empty(0, np.int64), none, none, none)
     drive = checked_drive(slam, params.graph)
     log_scale = float(np.log(projection.grid_scale_factor))
     solved = solve(drive, gnss, first_stamp(slam), log_scale, no_control(), params.graph)

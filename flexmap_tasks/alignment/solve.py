@@ -44,7 +44,7 @@ FIRM = 2
 LEVER_STARTS_M = (1.5, -1.5)
 """Without time a corner looks nearly alike from an antenna ahead and one behind: both are tried."""
 
-SCALE_ROUNDS, SETTLED_SHARE, SETTLED_M = 20, 0.06, 0.002
+SCALE_ROUNDS, SETTLED_SHARE, SETTLED_M = 12, 0.06, 0.002
 """Noise is estimated so many times at most, until it changes by less than a share and no pose by more than this."""
 
 MIN_FIXES = 3
@@ -134,10 +134,13 @@ def solve(
     pose = _moved(drive, fit) if start is None else start.pose
     drift = np.zeros((int(drive.part[-1]) + 1, 2))
     starts = [State(pose, drift, np.array([forward, 0.0, log_scale, offset])) for forward in levers]
-    found, solution = _begun(known, tie, starts)
-    found, solution = _adjusted(known, tie, solution.state, START, SCALE_ROUNDS, solution.lu.order)
     revisit = revisit_edges(drive.pose[drive.node], params.revisit_radius_m)
-    if closes(revisit, solution) if closed is None else closed:
+    found, solution = _begun(known, tie, starts)
+    if closed:
+        known = known._replace(revisit=revisit)
+    order = None if closed else solution.lu.order
+    found, solution = _adjusted(known, tie, solution.state, START, SCALE_ROUNDS, order)
+    if closed is None and closes(revisit, solution):
         known = known._replace(revisit=revisit)
         found, solution = _adjusted(known, tie, solution.state, solution.scale, SCALE_ROUNDS)
     for _ in range(SEARCHES if search else 0):

@@ -181,7 +181,9 @@ def _estimated(
         after = group.residual + group.jacobian @ step
         squares[k] += float(p @ after**2)
         explained = float(p @ _variances(group.jacobian, inverse, shared)) / scale[k] ** 2
-        redundancy[k] += _kept(group.robust) * (w.sum() - explained)
+        free = w.sum() - explained
+        # what the unknowns explain is too small for robust weights to tell: there they keep all of it
+        redundancy[k] += free * (1.0 - (1.0 - _kept(group.robust)) * max(free, 0.0) / w.sum())
     new = scale.copy()
     told = redundancy > 1.0
     new[told] = np.sqrt(squares[told] / redundancy[told])
