@@ -150,3 +150,8 @@ def untimed(drive: Driven) -> Driven:
         slam=dataclasses.replace(drive.slam, stamp_ns=None),
         gnss=dataclasses.replace(drive.gnss, stamp_ns=None),
     )
+
+
+def rmse(values: np.ndarray) -> float:
+    """Root of the mean square."""
+    return float(np.sqrt((values**2).mean()))

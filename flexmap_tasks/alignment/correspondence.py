@@ -55,8 +55,7 @@ def by_shape(state: State, line: GnssLine, along_m: Floats, sigma_m: Floats) -> 
     along_m : (n,) arc length at every node from the monotone association
     sigma_m : (k,) stated standard deviation of every fix of the line
     """
-    lever = np.tile(state.shared[:2], (len(state.pose), 1))
-    antenna = state.pose[:, :2] + rotated(lever, state.pose[:, 2])
+    antenna = state.antenna
     s = slide(line, antenna, along_m)
     heading = line.heading_at(s)
     along_gap = rotated(antenna - line.at(s), -heading)[:, 0]
@@ -107,7 +106,7 @@ def by_time(state: State, drive: Drive, line: GnssLine, gnss_s: Floats, sigma_m:
     row = np.flatnonzero(covered(drive, at))
     at = at[row]
     pose, velocity = drive.at(at), drive.velocity_at(at)
-    stamp, last = _stamps(drive), len(drive.node) - 1
+    stamp, last = drive.stamps, len(drive.node) - 1
     node = np.clip(np.searchsorted(stamp[drive.node], at, side="right") - 1, 0, last)
     after = np.minimum(node + 1, last)
     along = arc_length_m(drive.pose[:, :2])
@@ -135,7 +134,7 @@ def _seen(drive: Drive, node: Ints, pose: Floats, velocity: Floats, offset_s: fl
 
 def covered(drive: Drive, at_s: Floats) -> Bools:
     """(k,) whether SLAM poses surround a time closely."""
-    stamp = _stamps(drive)
+    stamp = drive.stamps
     k = np.searchsorted(stamp, at_s)
     inside = (k > 0) & (k < len(stamp))
     k = np.clip(k, 1, len(stamp) - 1)
@@ -143,12 +142,6 @@ def covered(drive: Drive, at_s: Floats) -> Bools:
     # SLAM that keeps one pose every few metres leaves longer lapses than this: then its own usual lapse counts
     close: Bools = inside & (far <= max(MAX_GAP_S, 3.0 * float(np.median(np.diff(stamp)))))
     return close
-
-
-def _stamps(drive: Drive) -> Floats:
-    if drive.stamp_s is None:
-        raise ValueError("the drive has no time")
-    return drive.stamp_s
 
 
 def timed_start(

@@ -51,7 +51,7 @@ class Drive(NamedTuple):
         the same as a body that runs late.
         """
         through = np.column_stack([self.pose[:, :2], np.unwrap(self.pose[:, 2])])
-        out = smooth_through(stamp_s, self._stamps(), through)
+        out = smooth_through(stamp_s, self.stamps, through)
         return np.column_stack([out[:, :2], wrapped(out[:, 2])])
 
     def velocity_at(self, stamp_s: Floats) -> Floats:
@@ -60,7 +60,7 @@ class Drive(NamedTuple):
         The velocity of single steps is SLAM's noise as much as the car's: a clock offset that is found with it
         believes itself far too sure, and is drawn to where the noise of GNSS and SLAM happen to agree.
         """
-        stamp = self._stamps()
+        stamp = self.stamps
         step = between(self.pose[:-1], self.pose[1:])
         way = np.concatenate([[[0.0, 0.0]], np.cumsum(rotated(step[:, :2], -step[:, 2] / 2), axis=0)])
         start = np.clip(stamp_s - VELOCITY_S / 2, stamp[0], stamp[-1])
@@ -69,7 +69,9 @@ class Drive(NamedTuple):
         out: Floats = np.column_stack(gone) / np.maximum(stop - start, 1e-9)[:, None]
         return out
 
-    def _stamps(self) -> Floats:
+    @property
+    def stamps(self) -> Floats:
+        """`stamp_s` of a drive that has time."""
         if self.stamp_s is None:
             raise ValueError("the drive has no time")
         return self.stamp_s

@@ -10,10 +10,8 @@ from flexmap_tasks.alignment.pose_graph import checked_drive, first_stamp, no_co
 from flexmap_tasks.alignment.solve import MULTIPATH, Solved, solve
 from flexmap_tasks.config import GraphHeldOutParams
 from flexmap_tasks.engine.stage import stage
-from flexmap_tasks.geometry.graph2d import State
 from flexmap_tasks.geometry.monotone import associate
 from flexmap_tasks.geometry.normal_equations import inverse_on_pattern
-from flexmap_tasks.geometry.se2 import rotated
 from flexmap_tasks.geometry.turns import track_heading
 from flexmap_tasks.model.arrays import Bools, Floats, Strings
 from flexmap_tasks.model.pose_graph import HeldOut
@@ -38,7 +36,7 @@ def heldout(slam: Trajectory, gnss: GnssTrack, projection: Projection, params: G
     whole = solve(drive, gnss, first, log_scale, control, params.graph)
     off = _switched_off(whole.reason)
     line, _ = driven_line(gnss, off)
-    where = _places(line, _antenna(whole.solution.state), _on(line, whole))
+    where = _places(line, whole.solution.state.antenna, _on(line, whole))
     fold = (where // params.block_m).astype(np.int64) % params.folds
     of_fix = np.interp(np.arange(len(gnss)), line.fix, line.along_m)
     fix_fold = (of_fix // params.block_m).astype(np.int64) % params.folds
@@ -52,7 +50,7 @@ def heldout(slam: Trajectory, gnss: GnssTrack, projection: Projection, params: G
         part = solve(
             drive, gnss, first, log_scale, control, params.graph, withheld, search=False, closed=closed
         )
-        antenna = _antenna(part.solution.state)
+        antenna = part.solution.state.antenna
         foot = slide(line, antenna, where)
         gap[asked] = np.hypot(*(antenna - line.at(foot)).T)[asked]
         variance = inverse_on_pattern(part.solution.lu).diagonal()[: antenna.size // 2 * 3].reshape(-1, 3)
@@ -72,12 +70,6 @@ def _on(line: GnssLine, whole: Solved) -> Floats | None:
 
 def _switched_off(reason: Strings) -> Bools:
     return np.array([text == MULTIPATH for text in reason], bool)
-
-
-def _antenna(state: State) -> Floats:
-    lever = np.tile(state.shared[:2], (len(state.pose), 1))
-    out: Floats = state.pose[:, :2] + rotated(lever, state.pose[:, 2])
-    return out
 
 
 def _places(line: GnssLine, antenna: Floats, along_m: Floats | None) -> Floats:

@@ -68,11 +68,13 @@ def closes(found: Relative, solution: Solution[State]) -> bool:
     poses = solution.state.pose.size
     variance = inverse_on_pattern(solution.lu).diagonal()[:poses].reshape(-1, 3)[:, :2].sum(axis=1)
     of_pair = np.maximum(variance[found.first] + variance[found.second], 0.0)
-    told = of_pair < KNOWN_M**2
-    if told.sum() < MIN_TOLD:
-        return False
     square = (gap[:, :2] ** 2).sum(axis=1) / (of_pair + 2.0 * AGAIN_M**2)
-    return bool(np.median(square[told]) < AGREED_SIGMAS**2)
+    return typically_below(AGREED_SIGMAS**2, square[of_pair < KNOWN_M**2])
+
+
+def typically_below(limit: float, squares: Floats) -> bool:
+    """Whether squares of disagreement over their variance are enough to tell, and their median is below a limit."""
+    return len(squares) >= MIN_TOLD and bool(np.median(squares) < limit)
 
 
 def _separate(at_m: Floats, apart_m: float) -> Ints:

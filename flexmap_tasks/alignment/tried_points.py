@@ -21,7 +21,7 @@ from flexmap_tasks.config import PoseGraphParams
 from flexmap_tasks.errors import AlignmentError
 from flexmap_tasks.geometry.adjustment import Solution, adjust
 from flexmap_tasks.geometry.graph2d import GLOBALS, Rows, State, fix_rows
-from flexmap_tasks.geometry.se2 import rotated, wrapped
+from flexmap_tasks.geometry.se2 import wrapped
 from flexmap_tasks.model.alignment import ControlPoints, RigidMotion, Warp
 from flexmap_tasks.model.arrays import Floats
 from flexmap_tasks.model.bend import Bend
@@ -70,7 +70,7 @@ def tried(base: SolvedDrive, points: ControlPoints, motion: RigidMotion) -> Trie
     every, sigma_m = control_of(replace(points, used=np.ones(len(points), bool)), motion, base.drive)
     chosen, _ = control_of(points, motion, base.drive)
     if not len(every.node):
-        return Tried(_warp(base, state), _antenna(state), np.zeros(0), np.zeros(0))
+        return Tried(_warp(base, state), state.antenna, np.zeros(0), np.zeros(0))
     solution = None
     if used.any():
         known = solved.known._replace(control=chosen, control_sigma_m=sigma_m[used])
@@ -80,7 +80,7 @@ def tried(base: SolvedDrive, points: ControlPoints, motion: RigidMotion) -> Trie
     left_out = residual.copy()
     if solution is not None:
         left_out[used] = _left_out(fix_rows(state, chosen, antenna=False), sigma_m[used], solution)
-    return Tried(_warp(base, state), _antenna(state), residual, left_out)
+    return Tried(_warp(base, state), state.antenna, residual, left_out)
 
 
 def _apart(residual: Floats) -> Floats:
@@ -127,9 +127,3 @@ def _warp(base: SolvedDrive, state: State) -> Warp:
         source_z_m=base.drive.z_m[base.drive.node],
     )
     return Warp(RigidMotion(fit.rotation, fit.translation, 1.0, fit.scale, fit.rmse), None, bend=bend)
-
-
-def _antenna(state: State) -> Floats:
-    lever = np.tile(state.shared[:2], (len(state.pose), 1))
-    antenna: Floats = state.pose[:, :2] + rotated(lever, state.pose[:, 2])
-    return antenna

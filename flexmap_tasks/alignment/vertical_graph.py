@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.special import log_ndtr
 
+from flexmap_tasks.alignment.revisits import typically_below
 from flexmap_tasks.geometry import graph_up
 from flexmap_tasks.geometry.adjustment import KERNEL, Group, Solution, adjust
 from flexmap_tasks.geometry.graph2d import Relative
@@ -234,10 +235,8 @@ def _closes(without: Solution[UpState], rows: graph_up.Rows, revisit: Relative) 
     """
     sigma = _lifted(without).sigma_m
     square = sigma[revisit.first] ** 2 + sigma[revisit.second] ** 2 + FLOOR[REVISIT] ** 2
-    asked = square < ASKED_M**2
-    if asked.sum() < 3:
-        return False
-    return bool(np.median((rows.residual(without.state) ** 2 / square)[asked]) < CLOSED)
+    ratio = rows.residual(without.state) ** 2 / square
+    return typically_below(CLOSED, ratio[square < ASKED_M**2])
 
 
 def _scatter(heights: Heights) -> float:

@@ -41,6 +41,13 @@ class State(NamedTuple):
         """How many there are."""
         return int(self.pose.size + self.drift.size + self.shared.size)
 
+    @property
+    def antenna(self) -> Floats:
+        """(n, 2) where the antenna is at every node."""
+        lever = np.tile(self.shared[:2], (len(self.pose), 1))
+        out: Floats = self.pose[:, :2] + rotated(lever, self.pose[:, 2])
+        return out
+
     def scale_in(self, part: Ints) -> Floats:
         """(m,) SLAM's scale in parts of the way; -1 stands for no part, where the whole drive's holds."""
         own = np.append(self.drift[:, 0], 0.0)

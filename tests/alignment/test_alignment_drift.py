@@ -14,7 +14,7 @@ from flexmap_tasks.geometry.polyline import smooth_through
 from flexmap_tasks.geometry.se2 import between, rotated
 from flexmap_tasks.geometry.turns import yaw_rad
 from flexmap_tasks.model.pose_graph import PoseGraph
-from tests.drives import HERE, Driven, Noise, driven, untimed
+from tests.drives import HERE, Driven, Noise, driven, rmse, untimed
 
 
 def aligned(drive: Driven) -> PoseGraph:
@@ -23,10 +23,6 @@ def aligned(drive: Driven) -> PoseGraph:
 
 def error_m(drive: Driven, graph: PoseGraph) -> np.ndarray:
     return np.hypot(*(graph.nodes.xyz_m - drive.xyz[graph.nodes.row])[:, :2].T)
-
-
-def rmse(values: np.ndarray) -> float:
-    return float(np.sqrt((values**2).mean()))
 
 
 def with_drift(drive: Driven, share: float, way_m: float) -> Driven:

@@ -17,6 +17,7 @@ from flexmap_tasks.model.fusion import AlignedDrive
 from flexmap_tasks.model.pose_graph import PoseGraph
 from flexmap_tasks.model.tracks import GnssFixes, GnssTrack, Trajectory
 from tests import drives
+from tests.drives import rmse
 
 PARAMS = PoseGraphParams()
 LENGTH_M, SEED, OUTAGE_M = 1800.0, 5, (800.0, 1100.0)
@@ -67,10 +68,6 @@ def errors_m(drive: drives.Driven, graph: PoseGraph, way: tuple[float, float]) -
     inside = (drive.along > way[0]) & (drive.along < way[1])
     moved = pose_graph_warp(graph, PARAMS).apply(drive.slam.xyz_m[inside])
     return np.hypot(*(moved - drive.xyz[inside])[:, :2].T)
-
-
-def rmse(values: np.ndarray) -> float:
-    return float(np.sqrt((values**2).mean()))
 
 
 def test_another_drive_takes_over_in_an_outage(main, cover) -> None:

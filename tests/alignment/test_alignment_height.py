@@ -15,7 +15,7 @@ from flexmap_tasks.evaluation.graph_quality import graph_measures
 from flexmap_tasks.evaluation.sigma_findings import sigma_findings
 from flexmap_tasks.model.pose_graph import PoseGraph
 from tests.climbs import Up, climbed
-from tests.drives import HERE, Driven, driven, untimed
+from tests.drives import HERE, Driven, driven, rmse, untimed
 
 PLAIN = Up()
 
@@ -26,10 +26,6 @@ def adjusted(drive: Driven, up: Up = PLAIN) -> PoseGraph:
 
 def error_m(drive: Driven, graph: PoseGraph) -> np.ndarray:
     return np.asarray(graph.nodes.xyz_m[:, 2] - drive.xyz[graph.nodes.row, 2])
-
-
-def rmse(values: np.ndarray) -> float:
-    return float(np.sqrt((values**2).mean()))
 
 
 FAULTS = {

@@ -17,7 +17,7 @@ from flexmap_tasks.model.height_model import HeightModel
 from flexmap_tasks.model.pose_graph import PoseGraph
 from flexmap_tasks.model.source import Source
 from tests.climbs import Up, climbed, ground_m
-from tests.drives import HERE, Driven, driven
+from tests.drives import HERE, Driven, driven, rmse
 
 UP = Up(tilt_rad=(0.01, 0.02))
 BODY_UP_M = 1.7
@@ -49,10 +49,6 @@ def laid(drive: Driven, model: HeightModel) -> PoseGraph:
 
 def off_m(drive: Driven, graph: PoseGraph) -> np.ndarray:
     return np.asarray(graph.nodes.xyz_m[:, 2] - BODY_UP_M - drive.xyz[graph.nodes.row, 2])
-
-
-def rmse(values: np.ndarray) -> float:
-    return float(np.sqrt((values**2).mean()))
 
 
 def test_drive_lies_on_the_ground(drive: Driven) -> None:

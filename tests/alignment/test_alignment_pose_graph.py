@@ -37,6 +37,7 @@ from flexmap_tasks.model.projection import Projection
 from flexmap_tasks.model.source import Source
 from flexmap_tasks.model.tracks import GnssTrack, Trajectory
 from tests import drives
+from tests.drives import rmse
 
 HERE = dataclasses.replace(Projection.at(9.0, 48.0), grid_scale_factor=1.0)
 START_NS = 1_700_000_000_000_000_000
@@ -110,10 +111,6 @@ def solved(drive: Driven):
 
 def error(drive: Driven, graph) -> np.ndarray:
     return np.hypot(*(graph.nodes.xyz_m - drive.xyz[graph.nodes.row])[:, :2].T)
-
-
-def rmse(values: np.ndarray) -> float:
-    return float(np.sqrt((values**2).mean()))
 
 
 @pytest.fixture(scope="module")

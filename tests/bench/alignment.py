@@ -25,7 +25,7 @@ from flexmap_tasks.model.pose_graph import PoseGraph
 from flexmap_tasks.model.source import Source
 from tests.bench.measure import DATA, best_cpu_s, show
 from tests.climbs import Up, climbed
-from tests.drives import HERE, Bias, Driven, driven, untimed
+from tests.drives import HERE, Bias, Driven, driven, rmse, untimed
 
 
 def run() -> None:
@@ -56,7 +56,7 @@ def _growth() -> None:
         goal = f"about {length_km // 5} times"
         rows.append((f"{length_km} km with time", f"{cpu:.1f} s CPU = {cpu / one:.0f} times 5 km", goal))
         rows.append(
-            ("  its distance from the truth, RMSE in the plane", f"{_rmse(_error(long, graph)):.3f} m", "")
+            ("  its distance from the truth, RMSE in the plane", f"{rmse(_error(long, graph)):.3f} m", "")
         )
     show("Alignment by pose graph", rows)
 
@@ -76,7 +76,7 @@ def _simulated() -> None:
             at, inside = drive.along[graph.nodes.row], np.zeros(len(graph.nodes), bool)
             for start, stop in [*gaps, *((b.start_m, b.stop_m) for b in biases)]:
                 inside |= (at > start) & (at < stop)
-            errors.append(_rmse(_error(drive, graph)[inside if inside.any() else ~inside]))
+            errors.append(rmse(_error(drive, graph)[inside if inside.any() else ~inside]))
         rows.append(
             (
                 name,
@@ -104,7 +104,7 @@ def _heights() -> None:
             drive = climbed(driven(3000, seed), up, seed)
             params = PoseGraphParams(antenna_up_m=up.lever_up_m)
             nodes = pose_graph(drive.slam, drive.gnss, HERE, None, None, params).nodes
-            errors.append(_rmse(nodes.xyz_m[:, 2] - drive.xyz[nodes.row, 2]))
+            errors.append(rmse(nodes.xyz_m[:, 2] - drive.xyz[nodes.row, 2]))
         rows.append(
             (name, f"{np.mean(errors):.3f} m, worst of {len(errors)} {max(errors):.3f}", "at most 0.10")
         )
@@ -121,9 +121,9 @@ def _garching() -> None:
     off = deviation(antenna_track(graph).xyz_m, gnss)
     rigid = deviation(graph.motion.apply_xy(slam.xyz_m[:, :2]), gnss)
     rows = [
-        ("valid poses, RMSE", f"{_rmse(off.distance_m[off.valid]):.3f} m", "at most 0.06 m"),
+        ("valid poses, RMSE", f"{rmse(off.distance_m[off.valid]):.3f} m", "at most 0.06 m"),
         ("all poses, mean", f"{off.distance_m.mean():.3f} m", "at most 0.40 m"),
-        ("robust rigid alone, all poses, RMSE", f"{_rmse(rigid.distance_m):.2f} m", "at most 2.4 m"),
+        ("robust rigid alone, all poses, RMSE", f"{rmse(rigid.distance_m):.2f} m", "at most 2.4 m"),
         ("same road passed twice, p90", f"{graph.figures.revisit_disagreement_m:.3f} m", "at most 0.08 m"),
         ("lever arm forward", f"{graph.figures.lever_forward_m:.2f} m", "2.06 +- 0.15 m"),
         ("lever arm left", f"{graph.figures.lever_left_m:.2f} m", "0.49 +- 0.05 m"),
@@ -133,7 +133,7 @@ def _garching() -> None:
         rows.append(
             (
                 f"held-out blocks of {block_m:.0f} m, RMSE",
-                f"{_rmse(judged.distance_m):.3f} m",
+                f"{rmse(judged.distance_m):.3f} m",
                 f"at most {goal} m",
             )
         )
@@ -146,7 +146,3 @@ def _solved(drive: Driven) -> PoseGraph:
 
 def _error(drive: Driven, graph: PoseGraph) -> np.ndarray:
     return np.hypot(*(graph.nodes.xyz_m - drive.xyz[graph.nodes.row])[:, :2].T)
-
-
-def _rmse(values: np.ndarray) -> float:
-    return float(np.sqrt((values**2).mean()))
